@@ -1,0 +1,1 @@
+//! Emulated STM32F405 peripherals.

@@ -1,0 +1,2 @@
+//! Jointbus bridge.
+#![no_std]

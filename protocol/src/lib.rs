@@ -1,0 +1,3 @@
+//! Jointbus protocol stack.
+#![no_std]
+#![forbid(unsafe_code)]
