@@ -1,0 +1,57 @@
+//! CRC-16/MODBUS, which NST and Modbus RTU frames share.
+
+use crate::wire::{NoSpace, Writer};
+
+static CRC: crc::Crc<u16> = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS);
+
+/// Bytes that [`seal`] appends.
+pub const CRC_LENGTH: usize = 2;
+
+/// CRC-16/MODBUS of `bytes`: polynomial 0x8005 reflected, start 0xFFFF.
+#[must_use]
+pub fn crc16(bytes: &[u8]) -> u16 {
+    CRC.checksum(bytes)
+}
+
+/// The content of a frame that ends with its CRC, low byte first; `None` where the CRC is wrong or missing.
+///
+/// The NST manual (4.2.3) names the high byte first; every frame that it prints has the low byte first.
+#[must_use]
+pub fn verify(frame: &[u8]) -> Option<&[u8]> {
+    let (content, crc) = frame.split_last_chunk::<CRC_LENGTH>()?;
+    (crc16(content) == u16::from_le_bytes(*crc)).then_some(content)
+}
+
+/// Appends the CRC of all that has been written, low byte first.
+///
+/// # Errors
+/// [`NoSpace`] where the buffer has no room for it.
+pub fn seal(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
+    let crc = crc16(writer.written());
+    writer.slice(&crc.to_le_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn check_value_of_the_catalogue() {
+        assert_eq!(crc16(b"123456789"), 0x4B37);
+    }
+
+    #[test]
+    fn a_frame_is_sealed_and_verified() {
+        let mut buffer = [0xEE; 9];
+        let mut writer = Writer::new(&mut buffer);
+        // NST manual, 4.3.1.10
+        writer.slice(&[0x01, 0x03, 0x02, 0x00, 0x12]).unwrap();
+        seal(&mut writer).unwrap();
+        let frame = writer.finish();
+        assert_eq!(frame, [0x01, 0x03, 0x02, 0x00, 0x12, 0x38, 0x49]);
+        assert_eq!(verify(frame), Some(&frame[..5]));
+        for cut in 0..frame.len() {
+            assert_eq!(verify(&frame[..cut]), None);
+        }
+    }
+}

@@ -1,0 +1,499 @@
+//! Frames out of a byte stream, for both ends of a line.
+//!
+//! [`BurstDeframer`] is the slave's side: it takes a frame the moment it is complete and right, and after anything
+//! wrong nothing until the line was silent, so that bytes inside a frame are never executed.
+//! [`ReplySearch`] is the master's side: it slides over noise to the one reply it waits for.
+//! Both are bounded and do work in proportion to the bytes they are fed.
+
+use crate::time::{Duration, Instant};
+
+/// What the first bytes of a frame tell about its length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum FrameLength {
+    /// The frame has so many bytes, checksum included.
+    Exactly(usize),
+    /// So many bytes are needed before the length can be told.
+    AtLeast(usize),
+    /// Only silence ends the frame.
+    UntilSilence,
+    /// No frame starts like this.
+    Impossible,
+}
+
+/// What a [`BurstDeframer`] must know of the frames on its line.
+pub trait Format {
+    /// Length of the frame that starts with `prefix`, which is never empty.
+    fn length(&self, prefix: &[u8]) -> FrameLength;
+
+    /// Whether a frame of the right length has the right checksum.
+    fn is_valid(&self, frame: &[u8]) -> bool;
+
+    /// Whether the frame is a broadcast, which is not taken out of the middle of a burst.
+    fn is_broadcast(&self, frame: &[u8]) -> bool;
+}
+
+/// Why a burst was dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Fault {
+    /// A frame was complete, its checksum wrong.
+    Checksum,
+    /// No frame starts with these bytes.
+    Impossible,
+    /// The line fell silent inside a frame.
+    Incomplete,
+}
+
+/// What came out of a byte stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event<'a> {
+    /// A whole, valid frame.
+    Frame(&'a [u8]),
+    /// Silence ended a burst that held no frame.
+    Dropped {
+        /// What was wrong first.
+        fault: Fault,
+        /// The burst, as far as it was kept.
+        burst: &'a [u8],
+    },
+}
+
+/// Stray bytes that may stand before a frame which then fills its burst to the end.
+pub const STRAY_MAX: usize = 4;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Collecting a frame; its length, or the part of it that tells the length, is so many bytes.
+    Frame(usize),
+    /// Collecting a frame that only silence ends.
+    Open,
+    /// Waiting for silence.
+    Spoilt(Fault),
+    /// The last event has been handed out; the next byte starts afresh.
+    Delivered,
+}
+
+/// The slave's side of a line: takes a frame when it is complete and right, and after anything wrong drops all
+/// until silence.
+///
+/// One exception: a valid frame that starts at most [`STRAY_MAX`] bytes into the burst and ends exactly where it
+/// ends is taken, unless it is a broadcast. The data of a frame starts later than that.
+///
+/// `N` is the longest frame and the stray bytes before it.
+#[derive(Debug)]
+pub struct BurstDeframer<const N: usize> {
+    buffer: [u8; N],
+    used: usize,
+    overflow: bool,
+    state: State,
+    silence: Duration,
+    last: Instant,
+}
+
+impl<const N: usize> BurstDeframer<N> {
+    /// A deframer for a line on which `silence` ends a burst.
+    #[must_use]
+    pub const fn new(silence: Duration) -> Self {
+        Self {
+            buffer: [0; N],
+            used: 0,
+            overflow: false,
+            state: State::Frame(1),
+            silence,
+            last: Instant::from_micros(0),
+        }
+    }
+
+    /// Changes the silence that ends a burst.
+    pub const fn set_silence(&mut self, silence: Duration) {
+        self.silence = silence;
+    }
+
+    /// When silence will end what has been received so far; `None` while nothing is pending.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        let pending = self.used > 0 && self.state != State::Delivered;
+        pending.then(|| self.last.after(self.silence))
+    }
+
+    /// Takes bytes that ended at `now` until something comes out or none are left; call again while it returns
+    /// an event.
+    pub fn feed<'s>(
+        &'s mut self,
+        format: &impl Format,
+        bytes: &mut &[u8],
+        now: Instant,
+    ) -> Option<Event<'s>> {
+        if bytes.is_empty() {
+            return None;
+        }
+        if self.deadline().is_some_and(|end| now >= end) {
+            return self.end_of_burst(format);
+        }
+        if self.state == State::Delivered {
+            self.restart();
+        }
+        self.last = now;
+        while let State::Frame(wanted) = self.state {
+            let Some((taken, rest)) = bytes.split_at_checked(wanted.saturating_sub(self.used)) else { break };
+            self.keep(taken);
+            *bytes = rest;
+            let prefix = self.buffer.get(..self.used).unwrap_or(&[]);
+            self.state = match format.length(prefix) {
+                FrameLength::Exactly(length) | FrameLength::AtLeast(length) if length > N => {
+                    State::Spoilt(Fault::Impossible)
+                }
+                FrameLength::Exactly(length) | FrameLength::AtLeast(length) if length > self.used => {
+                    State::Frame(length)
+                }
+                FrameLength::Exactly(_) if format.is_valid(prefix) => State::Delivered,
+                FrameLength::Exactly(_) => State::Spoilt(Fault::Checksum),
+                FrameLength::AtLeast(_) | FrameLength::Impossible => State::Spoilt(Fault::Impossible),
+                FrameLength::UntilSilence => State::Open,
+            };
+        }
+        if self.state == State::Delivered {
+            return Some(Event::Frame(self.buffer.get(..self.used).unwrap_or(&[])));
+        }
+        let rest = core::mem::take(bytes);
+        self.keep(rest);
+        None
+    }
+
+    /// Tells the deframer the time, so that it notices the silence after a burst.
+    pub fn poll(&mut self, format: &impl Format, now: Instant) -> Option<Event<'_>> {
+        if self.deadline().is_some_and(|end| now >= end) { self.end_of_burst(format) } else { None }
+    }
+
+    fn end_of_burst(&mut self, format: &impl Format) -> Option<Event<'_>> {
+        let open = self.state == State::Open;
+        let fault = match self.state {
+            State::Spoilt(fault) => fault,
+            State::Open => Fault::Checksum,
+            State::Frame(_) | State::Delivered => Fault::Incomplete,
+        };
+        self.state = State::Delivered;
+        let burst = self.buffer.get(..self.used).unwrap_or(&[]);
+        if !self.overflow {
+            if open && format.is_valid(burst) {
+                return Some(Event::Frame(burst));
+            }
+            let fills_the_rest = (1..=STRAY_MAX).filter_map(|stray| burst.get(stray..)).find(|frame| {
+                let whole = match frame.is_empty() {
+                    true => false,
+                    false => match format.length(frame) {
+                        FrameLength::Exactly(length) => length == frame.len(),
+                        FrameLength::UntilSilence => true,
+                        FrameLength::AtLeast(_) | FrameLength::Impossible => false,
+                    },
+                };
+                whole && !format.is_broadcast(frame) && format.is_valid(frame)
+            });
+            if let Some(frame) = fills_the_rest {
+                return Some(Event::Frame(frame));
+            }
+        }
+        Some(Event::Dropped { fault, burst })
+    }
+
+    fn keep(&mut self, bytes: &[u8]) {
+        let free = N.saturating_sub(self.used);
+        let kept = bytes.get(..free.min(bytes.len())).unwrap_or(&[]);
+        self.overflow |= kept.len() < bytes.len();
+        let end = self.used.saturating_add(kept.len());
+        if let Some(place) = self.buffer.get_mut(self.used..end) {
+            place.copy_from_slice(kept);
+            self.used = end;
+        }
+    }
+
+    const fn restart(&mut self) {
+        self.used = 0;
+        self.overflow = false;
+        self.state = State::Frame(1);
+    }
+}
+
+/// What a master waits for.
+pub trait Expectation {
+    /// Lengths in bytes, checksum included, that the reply can have; 0 stands for none.
+    fn lengths(&self) -> [usize; 2];
+
+    /// Whether bytes of one of these lengths, or all up to a silence, are the reply: address, function code and
+    /// checksum.
+    fn accepts(&self, frame: &[u8]) -> bool;
+}
+
+/// The master's side of a line: finds the reply it waits for behind any noise.
+///
+/// Each position is tried once for each length, so the work is linear and a false start delays nothing.
+/// `N` must exceed the longest reply.
+#[derive(Debug)]
+pub struct ReplySearch<const N: usize> {
+    buffer: [u8; N],
+    used: usize,
+    /// First position not yet tried, for each of the two lengths.
+    next: [usize; 2],
+    delivered: bool,
+}
+
+impl<const N: usize> Default for ReplySearch<N> {
+    fn default() -> Self {
+        Self { buffer: [0; N], used: 0, next: [0; 2], delivered: false }
+    }
+}
+
+impl<const N: usize> ReplySearch<N> {
+    /// Forgets what has been received: a new request is under way.
+    pub const fn clear(&mut self) {
+        self.used = 0;
+        self.next = [0; 2];
+        self.delivered = false;
+    }
+
+    /// Whether bytes came in that belong to no reply so far.
+    #[must_use]
+    pub const fn has_leftovers(&self) -> bool {
+        self.used > 0 && !self.delivered
+    }
+
+    /// Takes bytes until the reply is found or none are left.
+    pub fn feed(&mut self, wanted: &impl Expectation, bytes: &mut &[u8]) -> Option<&[u8]> {
+        if self.delivered {
+            self.clear();
+        }
+        while let Some((byte, rest)) = bytes.split_first() {
+            *bytes = rest;
+            if self.used >= N {
+                self.slide(wanted);
+            }
+            if let Some(place) = self.buffer.get_mut(self.used) {
+                *place = *byte;
+                self.used = self.used.wrapping_add(1);
+            }
+            if let Some(found) = self.try_positions(wanted) {
+                self.delivered = true;
+                return self.buffer.get(found);
+            }
+        }
+        None
+    }
+
+    /// The line fell silent: a reply of unknown length may end here.
+    pub fn at_silence(&mut self, wanted: &impl Expectation) -> Option<&[u8]> {
+        let start = (0..self.used)
+            .find(|&start| self.buffer.get(start..self.used).is_some_and(|frame| wanted.accepts(frame)))?;
+        self.delivered = true;
+        self.buffer.get(start..self.used)
+    }
+
+    fn try_positions(&mut self, wanted: &impl Expectation) -> Option<core::ops::Range<usize>> {
+        for (length, next) in wanted.lengths().into_iter().zip(&mut self.next) {
+            while length > 0 && next.saturating_add(length) <= self.used {
+                let start = *next;
+                *next = next.wrapping_add(1);
+                let range = start..start.saturating_add(length);
+                if self.buffer.get(range.clone()).is_some_and(|frame| wanted.accepts(frame)) {
+                    return Some(range);
+                }
+            }
+        }
+        None
+    }
+
+    /// Drops the bytes that can no longer start a reply; all, where none of the lengths applies.
+    fn slide(&mut self, wanted: &impl Expectation) {
+        let tried = wanted.lengths().into_iter().zip(self.next).filter(|(length, _)| *length > 0);
+        let done = tried.map(|(_, next)| next).min().filter(|done| *done > 0).unwrap_or(self.used);
+        if done <= self.used {
+            self.buffer.copy_within(done..self.used, 0);
+        }
+        self.used = self.used.saturating_sub(done);
+        self.next = self.next.map(|next| next.saturating_sub(done));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    /// `[length, …, sum]`: a toy with all that a format can say; length 0 ends by silence, above 8 is impossible.
+    struct Toy;
+
+    impl Format for Toy {
+        fn length(&self, prefix: &[u8]) -> FrameLength {
+            match prefix[0] {
+                0 => FrameLength::UntilSilence,
+                1 if prefix.len() < 3 => FrameLength::AtLeast(3),
+                1 => FrameLength::Exactly(3 + usize::from(prefix[2])),
+                length @ 2..=8 => FrameLength::Exactly(length.into()),
+                _ => FrameLength::Impossible,
+            }
+        }
+        fn is_valid(&self, frame: &[u8]) -> bool {
+            let (sum, content) = frame.split_last().unwrap();
+            content.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)) == *sum
+        }
+        fn is_broadcast(&self, frame: &[u8]) -> bool {
+            frame.get(1) == Some(&0xFF)
+        }
+    }
+
+    const SILENCE: Duration = Duration::from_millis(20);
+
+    #[derive(Debug, PartialEq)]
+    enum Out {
+        Frame(Vec<u8>),
+        Dropped(Fault),
+    }
+
+    fn out(event: Event<'_>) -> Out {
+        match event {
+            Event::Frame(frame) => Out::Frame(frame.into()),
+            Event::Dropped { fault, .. } => Out::Dropped(fault),
+        }
+    }
+
+    /// Feeds each burst in pieces of every size, and a silence after it.
+    fn run(bursts: &[&[u8]]) -> Vec<Out> {
+        let mut results: Vec<Vec<Out>> = Vec::new();
+        for piece in 1..=12 {
+            let mut deframer = BurstDeframer::<12>::new(SILENCE);
+            let (mut now, mut found) = (Instant::from_micros(5), Vec::new());
+            for burst in bursts {
+                for mut chunk in burst.chunks(piece) {
+                    while let Some(event) = deframer.feed(&Toy, &mut chunk, now) {
+                        found.push(out(event));
+                    }
+                    assert!(chunk.is_empty());
+                    now = now.after(Duration::from_millis(1));
+                }
+                now = now.after(SILENCE);
+                found.extend(deframer.poll(&Toy, now).map(out));
+                assert_eq!(deframer.deadline(), None);
+            }
+            results.push(found);
+        }
+        assert!(results.iter().all(|found| *found == results[0]), "pieces change the outcome: {results:?}");
+        results.remove(0)
+    }
+
+    #[test]
+    fn frames_back_to_back_are_taken_without_silence() {
+        assert_eq!(
+            run(&[&[3, 1, 4, 4, 9, 9, 22, 1, 7, 2, 5, 15]]),
+            [
+                Out::Frame([3, 1, 4].into()),
+                Out::Frame([4, 9, 9, 22].into()),
+                Out::Frame([1, 7, 2, 5, 15].into())
+            ]
+        );
+    }
+
+    #[test]
+    fn after_a_wrong_frame_nothing_is_taken_until_silence() {
+        assert_eq!(
+            run(&[&[3, 1, 5, 3, 1, 4, 3, 1, 4], &[3, 1, 4]]),
+            [Out::Dropped(Fault::Checksum), Out::Frame([3, 1, 4].into())]
+        );
+        assert_eq!(run(&[&[99, 1, 2, 3, 9, 3, 1, 4]]), [Out::Dropped(Fault::Impossible)]);
+        assert_eq!(run(&[&[8, 3, 1, 4]]), [Out::Frame([3, 1, 4].into())], "one stray byte in front");
+        assert_eq!(run(&[&[8, 9, 9, 9, 9, 3, 1]]), [Out::Dropped(Fault::Incomplete)]);
+    }
+
+    #[test]
+    fn stray_bytes_in_front_are_forgiven_up_to_four_and_never_for_a_broadcast() {
+        for stray in 1..=6 {
+            let mut burst = std::vec![200; stray];
+            burst.extend([3, 1, 4]);
+            let expected = match stray {
+                ..=STRAY_MAX => Out::Frame([3, 1, 4].into()),
+                _ => Out::Dropped(Fault::Impossible),
+            };
+            assert_eq!(run(&[&burst]), [expected], "{stray} stray bytes");
+        }
+        assert_eq!(run(&[&[200, 3, 0xFF, 2]]), [Out::Dropped(Fault::Impossible)]);
+        assert_eq!(run(&[&[3, 0xFF, 2]]), [Out::Frame([3, 0xFF, 2].into())]);
+        assert_eq!(run(&[&[200, 3, 1, 4, 7]]), [Out::Dropped(Fault::Impossible)], "does not fill the burst");
+    }
+
+    #[test]
+    fn silence_ends_what_has_no_length_of_its_own() {
+        assert_eq!(run(&[&[0, 5, 5, 10]]), [Out::Frame([0, 5, 5, 10].into())]);
+        assert_eq!(run(&[&[0, 5, 5, 11]]), [Out::Dropped(Fault::Checksum)]);
+        assert_eq!(run(&[&[200, 0, 5, 5, 10]]), [Out::Frame([0, 5, 5, 10].into())]);
+    }
+
+    #[test]
+    fn an_endless_burst_is_bounded_and_dropped_once() {
+        let noise = [0x55; 300];
+        assert_eq!(
+            run(&[&noise, &[3, 1, 4]]),
+            [Out::Dropped(Fault::Impossible), Out::Frame([3, 1, 4].into())]
+        );
+        let mut open = [1; 300];
+        open[0] = 0;
+        assert_eq!(run(&[&open]), [Out::Dropped(Fault::Checksum)]);
+        assert_eq!(run(&[&[1, 0, 250, 9]]), [Out::Dropped(Fault::Impossible)], "longer than the buffer");
+    }
+
+    #[test]
+    fn silence_is_noticed_by_the_next_byte_as_well() {
+        let mut deframer = BurstDeframer::<12>::new(SILENCE);
+        let start = Instant::from_micros(0);
+        assert_eq!(deframer.feed(&Toy, &mut &[3, 1][..], start), None);
+        let mut next = &[3, 1, 4][..];
+        let later = start.after(SILENCE);
+        assert_eq!(deframer.feed(&Toy, &mut next, later).map(out), Some(Out::Dropped(Fault::Incomplete)));
+        assert_eq!(next.len(), 3, "the new burst is still to be fed");
+        assert_eq!(deframer.feed(&Toy, &mut next, later).map(out), Some(Out::Frame([3, 1, 4].into())));
+    }
+
+    struct Reply;
+
+    impl Expectation for Reply {
+        fn lengths(&self) -> [usize; 2] {
+            [6, 3]
+        }
+        fn accepts(&self, frame: &[u8]) -> bool {
+            frame[0] == 7 && Toy.is_valid(frame)
+        }
+    }
+
+    #[test]
+    fn the_reply_is_found_behind_noise_of_any_length() {
+        for (reply, noise) in [(&[7, 1, 1, 1, 1, 11][..], 7), (&[7, 2, 9], 7), (&[7, 2, 9], 1)] {
+            for length in 0..40 {
+                let mut search = ReplySearch::<16>::default();
+                let mut stream = std::vec![noise; length];
+                stream.extend_from_slice(reply);
+                stream.push(77);
+                let mut rest = &stream[..];
+                assert_eq!(search.feed(&Reply, &mut rest), Some(reply), "{length} bytes of noise");
+                assert_eq!(rest, [77]);
+                assert!(!search.has_leftovers());
+                assert_eq!(search.feed(&Reply, &mut rest), None);
+                assert!(search.has_leftovers());
+            }
+        }
+    }
+
+    #[test]
+    fn a_reply_of_unknown_length_ends_at_silence() {
+        struct Any;
+        impl Expectation for Any {
+            fn lengths(&self) -> [usize; 2] {
+                [0, 0]
+            }
+            fn accepts(&self, frame: &[u8]) -> bool {
+                frame[0] == 7 && frame.len() > 2 && Toy.is_valid(frame)
+            }
+        }
+        let mut search = ReplySearch::<16>::default();
+        assert_eq!(search.feed(&Any, &mut &[1, 2, 7, 5, 5, 17][..]), None);
+        assert_eq!(search.at_silence(&Any), Some(&[7, 5, 5, 17][..]));
+    }
+}

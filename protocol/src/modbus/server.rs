@@ -1,0 +1,74 @@
+//! What the device dispatchers and a server's serial line have in common.
+
+use super::rtu::{self, Frame, FrameError};
+use super::{FunctionCode, Request, RequestError, Response};
+use crate::modbus::ExceptionCode;
+
+/// To whom a unit address speaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Audience {
+    /// To this server alone: it answers.
+    Unit,
+    /// To every server: writes only, never answered.
+    Broadcast,
+    /// To another one.
+    Other,
+}
+
+/// Why a frame is not answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Silence {
+    /// Length or CRC are wrong.
+    Frame(FrameError),
+    /// For another unit.
+    OtherUnit,
+    /// A broadcast is never answered; it was carried out, or refused for the reason given.
+    Broadcast(Option<ExceptionCode>),
+    /// A broadcast that does not write.
+    BroadcastRead,
+    /// The response does not fit the caller's buffer; a write has been carried out all the same.
+    NoSpace,
+}
+
+/// Answers an RTU frame into `out`: `dispatch` gets the unit, the request and room for the data of a read.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn serve_rtu<'b>(
+    frame: &[u8],
+    audience: impl FnOnce(u8) -> Audience,
+    dispatch: impl for<'d> FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    let Frame { unit, pdu } = Frame::decode(frame).map_err(Silence::Frame)?;
+    let audience = audience(unit);
+    if audience == Audience::Other {
+        return Err(Silence::OtherUnit);
+    }
+    let mut data = [0; super::PDU_MAX];
+    let response = match Request::decode(pdu) {
+        Ok(request) if audience == Audience::Broadcast && request.function().is_read() => {
+            return Err(Silence::BroadcastRead);
+        }
+        Ok(request) => dispatch(unit, &request, &mut data),
+        Err(error) => malformed(error),
+    };
+    match (audience, response) {
+        (Audience::Broadcast, Response::Exception { exception, .. }) => {
+            Err(Silence::Broadcast(Some(exception)))
+        }
+        (Audience::Broadcast, _) => Err(Silence::Broadcast(None)),
+        _ => rtu::encode_response(unit, &response, out).map_err(|_| Silence::NoSpace),
+    }
+}
+
+/// The answer to what is no request: exception 03 where a length or byte count does not fit.
+#[must_use]
+pub const fn malformed(error: RequestError) -> Response<'static> {
+    match error {
+        RequestError::Empty => Response::exception(FunctionCode::Unknown(0), ExceptionCode::IllegalFunction),
+        RequestError::Length(function) => Response::exception(function, ExceptionCode::IllegalDataValue),
+    }
+}
