@@ -1,0 +1,441 @@
+//! The form on CAN: a body cut into frames with 29-bit identifiers (4.2.1.2, 4.2.4).
+//!
+//! Identifier: bits 28:24 zero, 23:16 source node, 15:8 destination node, 7:4 frame type, 3:0 counter. The manual
+//! lets type and counter share bit 4; sixteen frames of eight bytes are exactly its 128 bytes, so the counter is 3:0.
+
+use crate::can::{Frame, Id};
+use crate::codes::code_table;
+use crate::time::{Duration, Instant};
+
+/// Most bytes of one transfer (4.2.1.2).
+pub const TRANSFER_MAX: usize = 128;
+
+/// Most frames of one transfer.
+pub const FRAMES_MAX: usize = TRANSFER_MAX / 8;
+
+/// Most data bytes that one read moves.
+pub const READ_MAX: usize = TRANSFER_MAX - super::REPLY_HEADER;
+
+/// Most data bytes that one write moves.
+pub const WRITE_MAX: usize = TRANSFER_MAX - super::COMMAND_LENGTH;
+
+/// Destination of a broadcast.
+pub const BROADCAST: u8 = super::BROADCAST;
+
+code_table! {
+    /// Place of a frame in its transfer (4.2.1.2, bits 7:4).
+    FrameType {
+        /// The only frame
+        Single = 0b0001,
+        /// The first of several
+        First = 0b0010,
+        /// Neither first nor last
+        Middle = 0b0100,
+        /// The last of several
+        Last = 0b1000,
+    }
+}
+
+/// A 29-bit identifier, taken apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Identifier {
+    /// Node that sends.
+    pub source: u8,
+    /// Node that is meant.
+    pub destination: u8,
+    /// Place of the frame in its transfer.
+    pub frame_type: FrameType,
+    /// Number of the frame in its transfer, 0 to 15.
+    pub counter: u8,
+}
+
+impl Identifier {
+    /// Takes a raw identifier apart; `None` where one of bits 28:24 is set.
+    #[must_use]
+    pub const fn from_raw(raw: u32) -> Option<Self> {
+        match raw.to_be_bytes() {
+            [0, source, destination, format] => Some(Self {
+                source,
+                destination,
+                frame_type: FrameType::from_code(format >> 4),
+                counter: format & 0x0F,
+            }),
+            _ => None,
+        }
+    }
+
+    /// The raw identifier; of type and counter the low four bits each.
+    #[must_use]
+    pub const fn to_raw(self) -> u32 {
+        let format = (self.frame_type.code() << 4) | (self.counter & 0x0F);
+        u32::from_be_bytes([0, self.source, self.destination, format])
+    }
+}
+
+/// The transfer is empty or longer than [`TRANSFER_MAX`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TransferLength;
+
+/// The frames of one transfer, in order.
+#[derive(Debug, Clone)]
+pub struct Segments<'a> {
+    source: u8,
+    destination: u8,
+    rest: &'a [u8],
+    counter: u8,
+}
+
+/// Cuts a body into frames from node `source` to node `destination`.
+///
+/// # Errors
+/// [`TransferLength`] where the body is empty or does not fit one transfer.
+pub const fn segment(source: u8, destination: u8, body: &[u8]) -> Result<Segments<'_>, TransferLength> {
+    if body.is_empty() || body.len() > TRANSFER_MAX {
+        return Err(TransferLength);
+    }
+    Ok(Segments { source, destination, rest: body, counter: 0 })
+}
+
+impl Iterator for Segments<'_> {
+    type Item = Frame;
+
+    fn next(&mut self) -> Option<Frame> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        let (data, rest) = self.rest.split_at_checked(8).unwrap_or((self.rest, &[]));
+        let frame_type = match (self.counter == 0, rest.is_empty()) {
+            (true, true) => FrameType::Single,
+            (true, false) => FrameType::First,
+            (false, false) => FrameType::Middle,
+            (false, true) => FrameType::Last,
+        };
+        let identifier = Identifier {
+            source: self.source,
+            destination: self.destination,
+            frame_type,
+            counter: self.counter,
+        };
+        self.rest = rest;
+        self.counter = self.counter.wrapping_add(1);
+        Frame::data_frame(Id::Extended(identifier.to_raw()), data).ok()
+    }
+}
+
+/// Why a transfer, or a frame of none, was dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Irregularity {
+    /// Not an extended data frame with bits 28:24 zero.
+    NotNst,
+    /// For another node.
+    OtherDestination,
+    /// Its frame type is in no table.
+    UnknownType,
+    /// The counter is not the next one: the transfer is dropped.
+    Counter,
+    /// A middle or last frame without a first one.
+    NoFirst,
+    /// No data, or a frame before the last one with fewer than eight bytes: the transfer is dropped.
+    Length,
+    /// The frame came later than the limit after the one before: the transfer is dropped.
+    Late,
+    /// A first or single frame while a transfer of that source was under way: that one is dropped, this one counts.
+    Restarted,
+    /// All contexts are taken by other sources.
+    NoContext,
+}
+
+/// What a frame brought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Outcome<'a> {
+    /// The transfer goes on.
+    More,
+    /// The transfer is complete.
+    Complete {
+        /// Node that sent it.
+        source: u8,
+        /// The body.
+        body: &'a [u8],
+    },
+}
+
+/// What [`Reassembler::push`] says of a frame: what came of it, and what was wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Report<'a> {
+    /// What the frame brought; `None` where it brought nothing.
+    pub outcome: Option<Outcome<'a>>,
+    /// What was irregular; a new first frame can be taken and yet end another transfer.
+    pub irregularity: Option<Irregularity>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Context {
+    source: u8,
+    /// Number of the next frame; 0 while the context is free.
+    counter: u8,
+    length: usize,
+    last: Instant,
+    body: [u8; TRANSFER_MAX],
+}
+
+impl Context {
+    const FREE: Self =
+        Self { source: 0, counter: 0, length: 0, last: Instant::from_micros(0), body: [0; TRANSFER_MAX] };
+
+    const fn is_free(&self) -> bool {
+        self.counter == 0
+    }
+
+    fn append(&mut self, data: &[u8]) -> bool {
+        let end = self.length.saturating_add(data.len());
+        let Some(place) = self.body.get_mut(self.length..end) else { return false };
+        place.copy_from_slice(data);
+        self.length = end;
+        true
+    }
+}
+
+/// Joins frames into transfers: one context a source node, at most `CONTEXTS` at once. Nothing is ever delivered in
+/// part.
+#[derive(Debug)]
+pub struct Reassembler<const CONTEXTS: usize> {
+    node: u8,
+    limit: Duration,
+    contexts: [Context; CONTEXTS],
+}
+
+impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
+    /// For transfers to `node` (and, for a device, to [`BROADCAST`]) whose frames come at most `limit` apart.
+    #[must_use]
+    pub const fn new(node: u8, limit: Duration) -> Self {
+        Self { node, limit, contexts: [Context::FREE; CONTEXTS] }
+    }
+
+    /// Changes the node; transfers under way are forgotten.
+    pub fn set_node(&mut self, node: u8) {
+        self.node = node;
+        self.clear();
+    }
+
+    /// Forgets all transfers under way.
+    pub fn clear(&mut self) {
+        self.contexts.iter_mut().for_each(|context| context.counter = 0);
+    }
+
+    /// Takes a frame that ended at `now`.
+    pub fn push(&mut self, frame: &Frame, now: Instant) -> Report<'_> {
+        let identifier = match frame.id() {
+            Id::Extended(raw) if !frame.is_remote() => Identifier::from_raw(raw),
+            _ => None,
+        };
+        let Some(identifier) = identifier else { return Report::wrong(Irregularity::NotNst) };
+        if identifier.destination != self.node && identifier.destination != BROADCAST {
+            return Report::wrong(Irregularity::OtherDestination);
+        }
+        let limit = self.limit;
+        // a transfer whose next frame is overdue holds its context no longer than until another source wants it
+        let mine = self
+            .contexts
+            .iter()
+            .position(|context| !context.is_free() && context.source == identifier.source);
+        let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
+        let place = mine.or_else(|| {
+            let overdue = |context: &Context| context.is_free() || now.since(context.last) > limit;
+            self.contexts.iter().position(overdue).filter(|_| starts)
+        });
+        let Some(context) = place.and_then(|index| self.contexts.get_mut(index)) else {
+            return Report::wrong(if starts { Irregularity::NoContext } else { Irregularity::NoFirst });
+        };
+        context.source = identifier.source;
+        Self::advance(context, identifier, frame.data(), mine.is_some(), limit, now)
+    }
+
+    fn advance<'c>(
+        context: &'c mut Context,
+        identifier: Identifier,
+        data: &[u8],
+        under_way: bool,
+        limit: Duration,
+        now: Instant,
+    ) -> Report<'c> {
+        let (starts, ends) = match identifier.frame_type {
+            FrameType::Single => (true, true),
+            FrameType::First => (true, false),
+            FrameType::Middle => (false, false),
+            FrameType::Last => (false, true),
+            FrameType::Unknown(_) => {
+                context.counter = 0;
+                return Report::wrong(Irregularity::UnknownType);
+            }
+        };
+        let expected = if starts { 0 } else { context.counter };
+        let irregularity = if !starts && now.since(context.last) > limit {
+            Some(Irregularity::Late)
+        } else if identifier.counter != expected {
+            Some(Irregularity::Counter)
+        } else if data.is_empty() || (!ends && data.len() != 8) {
+            Some(Irregularity::Length)
+        } else {
+            None
+        };
+        if irregularity.is_some() {
+            context.counter = 0;
+            return Report { outcome: None, irregularity };
+        }
+        if starts {
+            context.length = 0;
+        }
+        context.counter = identifier.counter.wrapping_add(1);
+        context.last = now;
+        // sixteen frames of eight bytes fill the body exactly, and the counter has no seventeenth
+        if !context.append(data) {
+            context.counter = 0;
+            return Report::wrong(Irregularity::Length);
+        }
+        let irregularity = (starts && under_way).then_some(Irregularity::Restarted);
+        if !ends {
+            return Report { outcome: Some(Outcome::More), irregularity };
+        }
+        context.counter = 0;
+        let body = context.body.get(..context.length).unwrap_or(&[]);
+        Report { outcome: Some(Outcome::Complete { source: context.source, body }), irregularity }
+    }
+}
+
+impl Report<'_> {
+    const fn wrong(irregularity: Irregularity) -> Self {
+        Self { outcome: None, irregularity: Some(irregularity) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    const LIMIT: Duration = Duration::from_millis(10);
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_micros(millis * 1000)
+    }
+
+    fn frames(source: u8, destination: u8, body: &[u8]) -> Vec<Frame> {
+        segment(source, destination, body).unwrap().collect()
+    }
+
+    fn complete<const N: usize>(reassembler: &mut Reassembler<N>, frames: &[Frame]) -> Option<Vec<u8>> {
+        let mut result = None;
+        for frame in frames {
+            if let Some(Outcome::Complete { body, .. }) = reassembler.push(frame, at(1)).outcome {
+                assert!(result.replace(body.to_vec()).is_none(), "delivered twice");
+            }
+        }
+        result
+    }
+
+    #[test]
+    fn every_length_is_cut_and_joined_again() {
+        let body: Vec<u8> = (0..128).collect();
+        for length in 1..=TRANSFER_MAX {
+            let cut = frames(1, 2, &body[..length]);
+            assert_eq!(cut.len(), length.div_ceil(8));
+            let mut reassembler = Reassembler::<1>::new(2, LIMIT);
+            assert_eq!(complete(&mut reassembler, &cut).as_deref(), Some(&body[..length]));
+        }
+        assert_eq!(segment(1, 2, &[]).err(), Some(TransferLength));
+        assert_eq!(segment(1, 2, &[0; 129]).err(), Some(TransferLength));
+    }
+
+    #[test]
+    fn identifiers_of_the_printed_read_reply() {
+        let ids: Vec<Id> = frames(1, 2, &[0; 20]).iter().map(Frame::id).collect();
+        assert_eq!(ids, [0x0001_0220, 0x0001_0241, 0x0001_0282].map(Id::Extended));
+    }
+
+    #[test]
+    fn any_frame_lost_or_swapped_delivers_nothing() {
+        let cut = frames(1, 2, &[7; 40]);
+        for lost in 0..cut.len() {
+            let mut rest = cut.clone();
+            rest.remove(lost);
+            let mut reassembler = Reassembler::<1>::new(2, LIMIT);
+            assert_eq!(complete(&mut reassembler, &rest), None, "frame {lost} lost");
+            assert_eq!(complete(&mut reassembler, &cut), Some(std::vec![7; 40]), "and the next one arrives");
+        }
+        for first in 0..cut.len() - 1 {
+            let mut swapped = cut.clone();
+            swapped.swap(first, first + 1);
+            assert_eq!(complete(&mut Reassembler::<1>::new(2, LIMIT), &swapped), None);
+        }
+    }
+
+    #[test]
+    fn every_irregularity_has_its_name() {
+        let cut = frames(1, 2, &[7; 24]);
+        let check = |frames: &[(Frame, u64)], expected: Irregularity| {
+            let mut reassembler = Reassembler::<1>::new(2, LIMIT);
+            let mut last = None;
+            for (frame, millis) in frames {
+                last = reassembler.push(frame, at(*millis)).irregularity;
+            }
+            assert_eq!(last, Some(expected));
+        };
+        let raw = |raw: u32, data: &[u8]| Frame::data_frame(Id::Extended(raw), data).unwrap();
+        check(&[(Frame::data_frame(Id::Standard(1), &[1]).unwrap(), 0)], Irregularity::NotNst);
+        check(&[(raw(0x0101_0210, &[1]), 0)], Irregularity::NotNst);
+        check(
+            &[(Frame::from_wire(Id::Extended(0x0001_0210), true, 1, [0; 8]).unwrap(), 0)],
+            Irregularity::NotNst,
+        );
+        check(&[(raw(0x0001_0310, &[1]), 0)], Irregularity::OtherDestination);
+        check(&[(cut[0], 0), (raw(0x0001_0231, &[1]), 0)], Irregularity::UnknownType);
+        check(&[(cut[0], 0), (cut[2], 0)], Irregularity::Counter);
+        check(&[(raw(0x0001_0211, &[1]), 0)], Irregularity::Counter);
+        check(&[(cut[1], 0)], Irregularity::NoFirst);
+        check(&[(raw(0x0001_0210, &[]), 0)], Irregularity::Length);
+        check(&[(raw(0x0001_0220, &[1; 7]), 0)], Irregularity::Length);
+        check(&[(cut[0], 0), (cut[1], 11)], Irregularity::Late);
+        check(&[(cut[0], 0), (cut[0], 1)], Irregularity::Restarted);
+        check(&[(cut[0], 0), (frames(3, 2, &[9; 20])[0], 1)], Irregularity::NoContext);
+    }
+
+    #[test]
+    fn sources_do_not_disturb_each_other() {
+        let (one, other) = (frames(1, 2, &[1; 24]), frames(3, 2, &[3; 24]));
+        let mixed: Vec<Frame> = one.iter().zip(&other).flat_map(|(a, b)| [*a, *b]).collect();
+        let mut reassembler = Reassembler::<2>::new(2, LIMIT);
+        let mut found = Vec::new();
+        for frame in &mixed {
+            if let Some(Outcome::Complete { source, body }) = reassembler.push(frame, at(0)).outcome {
+                found.push((source, body.to_vec()));
+            }
+        }
+        assert_eq!(found, [(1, std::vec![1; 24]), (3, std::vec![3; 24])]);
+    }
+
+    #[test]
+    fn a_stalled_transfer_gives_its_context_to_another_source() {
+        let mut reassembler = Reassembler::<1>::new(2, LIMIT);
+        reassembler.push(&frames(1, 2, &[1; 24])[0], at(0));
+        let report = reassembler.push(&frames(3, 2, &[3; 5])[0], at(11));
+        assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, body: &[3; 5] }));
+    }
+
+    #[test]
+    fn sixteen_frames_and_no_seventeenth() {
+        let mut reassembler = Reassembler::<1>::new(2, LIMIT);
+        for counter in 0..16u32 {
+            let kind = if counter == 0 { 0x20 } else { 0x40 };
+            let id = Id::Extended(0x0001_0200 | kind | counter);
+            let report = reassembler.push(&Frame::data_frame(id, &[0; 8]).unwrap(), at(0));
+            assert_eq!(report.outcome, Some(Outcome::More));
+        }
+        let wrapped = Frame::data_frame(Id::Extended(0x0001_0240), &[0; 8]).unwrap();
+        assert_eq!(reassembler.push(&wrapped, at(0)).irregularity, Some(Irregularity::Counter));
+    }
+}

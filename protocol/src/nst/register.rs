@@ -1,0 +1,157 @@
+//! The register map (manual table 4). A register is a byte; addresses and lengths count bytes.
+//! Settings are little-endian, data is big-endian: the printed frames show both (4.3.1.2, 4.3.2.10).
+
+/// Who may do what with a register.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Access {
+    /// Read only.
+    Read,
+    /// Read and written.
+    ReadWrite,
+}
+
+/// How the bytes of a register are to be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Encoding {
+    /// Without a documented layout.
+    Opaque,
+    /// Text.
+    Ascii,
+    /// One number, or one number a byte.
+    U8,
+    /// Two bytes, least significant first.
+    U16Le,
+    /// Four bytes, least significant first.
+    U32Le,
+    /// Signed numbers of four bytes, least significant first.
+    I32Le,
+    /// Signed numbers of three bytes, most significant first.
+    I24Be,
+}
+
+/// One row of table 4.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Register {
+    /// First byte address.
+    pub first: u16,
+    /// Length in bytes.
+    pub length: u16,
+    /// Access.
+    pub access: Access,
+    /// Encoding.
+    pub encoding: Encoding,
+}
+
+impl Register {
+    /// Last byte address.
+    #[must_use]
+    pub const fn last(&self) -> u16 {
+        self.first.saturating_add(self.length).saturating_sub(1)
+    }
+
+    /// Whether it has a byte in `first..=last`.
+    #[must_use]
+    pub const fn meets(&self, first: u16, last: u16) -> bool {
+        self.first <= last && first <= self.last()
+    }
+}
+
+const fn row(first: u16, length: u16, access: Access, encoding: Encoding) -> Register {
+    Register { first, length, access, encoding }
+}
+
+use Access::{Read, ReadWrite};
+use Encoding::{Ascii, I24Be, I32Le, Opaque, U8, U16Le, U32Le};
+
+/// Used by the system, 0x0000 to 0x00E2.
+pub const SYSTEM_0: Register = row(0x0000, 227, ReadWrite, Opaque);
+/// User matrix, 0x00E3 to 0x0172; the manual gives no layout.
+pub const USER_MATRIX: Register = row(0x00E3, 144, ReadWrite, Opaque);
+/// Serial number, 13 characters used (4.1.1).
+pub const SERIAL_NUMBER: Register = row(0x0173, 16, Read, Ascii);
+/// Model, 10 characters used (4.1.2).
+pub const MODEL: Register = row(0x0183, 16, Read, Ascii);
+/// Address, 0x01 to 0x7F (4.1.3).
+pub const ADDRESS: Register = row(0x0193, 1, ReadWrite, U8);
+/// Baud rate of UART1, the RS232/RS485 port (4.1.4).
+pub const UART1_BAUD: Register = row(0x0194, 4, ReadWrite, U32Le);
+/// Bit rate of CAN in kbit/s (4.1.5).
+pub const CAN_RATE: Register = row(0x0198, 4, ReadWrite, U32Le);
+/// Baud rate of UART2, the USB port (4.1.6).
+pub const UART2_BAUD: Register = row(0x019C, 4, ReadWrite, U32Le);
+/// Used by the system.
+pub const SYSTEM_1: Register = row(0x01A0, 1, ReadWrite, Opaque);
+/// IPv4 address in reading order (4.1.7).
+pub const IP_ADDRESS: Register = row(0x01A1, 4, ReadWrite, U8);
+/// Port (4.1.8).
+pub const IP_PORT: Register = row(0x01A5, 2, ReadWrite, U16Le);
+/// Zero points Fx Fy Fz Tx Ty Tz (4.1.9).
+pub const ZERO_POINTS: Register = row(0x01A7, 24, ReadWrite, I32Le);
+/// Used by the system.
+pub const SYSTEM_2: Register = row(0x01BF, 3, ReadWrite, Opaque);
+/// 0 = CAN, 1 = RS485 (4.1.10).
+pub const CHANNEL: Register = row(0x01C2, 1, ReadWrite, U8);
+/// Used by the system.
+pub const SYSTEM_3: Register = row(0x01C3, 4, ReadWrite, Opaque);
+/// Ethernet mode: 0 = UDP, 1 = TCP server (4.1.11).
+pub const ETHERNET_MODE: Register = row(0x01C7, 1, ReadWrite, U8);
+/// Used by the system.
+pub const SYSTEM_4: Register = row(0x01C8, 56, ReadWrite, Opaque);
+/// Data Fx Fy Fz Tx Ty Tz in 18 bytes, the rest 0 (4.1.12).
+pub const DATA: Register = row(0x0200, 256, Read, I24Be);
+
+/// Table 4, in its order.
+pub const TABLE: [Register; 18] = [
+    SYSTEM_0,
+    USER_MATRIX,
+    SERIAL_NUMBER,
+    MODEL,
+    ADDRESS,
+    UART1_BAUD,
+    CAN_RATE,
+    UART2_BAUD,
+    SYSTEM_1,
+    IP_ADDRESS,
+    IP_PORT,
+    ZERO_POINTS,
+    SYSTEM_2,
+    CHANNEL,
+    SYSTEM_3,
+    ETHERNET_MODE,
+    SYSTEM_4,
+    DATA,
+];
+
+/// Bytes below the data registers: all that a device keeps over power-off.
+pub const SETTINGS_LENGTH: usize = DATA.first as usize;
+
+/// Baud rates of UART1 (table 5); anything else is stored as [`DEFAULT_BAUD`].
+pub const UART1_BAUDS: [u32; 4] = [4800, 9600, 19200, 115_200];
+
+/// Bit rates of CAN in kbit/s (table 6); anything else is refused.
+pub const CAN_RATES: [u32; 8] = [1000, 500, 250, 125, 100, 50, 20, 10];
+
+/// Baud rates of UART2 (table 7); anything else is stored as [`DEFAULT_BAUD`].
+pub const UART2_BAUDS: [u32; 7] = [4800, 9600, 19200, 115_200, 230_400, 345_600, 460_800];
+
+/// Baud rate that an unknown one is replaced by (4.1.4, 4.1.6).
+pub const DEFAULT_BAUD: u32 = 115_200;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_covers_every_address_once() {
+        let mut next = 0;
+        for register in TABLE {
+            assert_eq!(register.first, next);
+            next = register.last() + 1;
+        }
+        assert_eq!(next, 0x0300);
+        assert_eq!(SETTINGS_LENGTH, 0x0200);
+    }
+}
