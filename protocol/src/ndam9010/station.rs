@@ -1,0 +1,127 @@
+use super::{MODULES_MAX, Module, UNIT_MAX, dispatch};
+use crate::modbus::server::{Audience, Silence, serve_rtu};
+use crate::modbus::{BROADCAST, Request, Response};
+
+/// Why a station can't be configured so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StationError {
+    /// A station has one to eight modules.
+    Modules,
+    /// The start ID is 0 or the last module's unit would pass 247.
+    StartId,
+}
+
+/// A station: up to eight modules, each a unit of its own from the start ID on. The station itself has no address.
+#[derive(Debug, Clone)]
+pub struct Station<M, const N: usize> {
+    modules: [M; N],
+    start_id: u8,
+}
+
+impl<M: Module, const N: usize> Station<M, N> {
+    /// A station whose first module is unit `start_id`, 1 to 247.
+    ///
+    /// # Errors
+    /// [`StationError`] where there are too many modules or a unit passes 247.
+    pub fn new(modules: [M; N], start_id: u8) -> Result<Self, StationError> {
+        if N == 0 || N > MODULES_MAX {
+            return Err(StationError::Modules);
+        }
+        let steps = u8::try_from(N.saturating_sub(1)).map_err(|_| StationError::Modules)?;
+        match start_id.checked_add(steps) {
+            Some(last) if start_id > 0 && last <= UNIT_MAX => Ok(Self { modules, start_id }),
+            _ => Err(StationError::StartId),
+        }
+    }
+
+    /// The modules, module ID 1 first.
+    pub const fn modules(&mut self) -> &mut [M; N] {
+        &mut self.modules
+    }
+
+    /// Answers an RTU frame into `out`.
+    ///
+    /// # Errors
+    /// [`Silence`]: why there is no answer.
+    pub fn serve<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
+        let start = self.start_id;
+        let index = |unit: u8| unit.checked_sub(start).map(usize::from).filter(|index| *index < N);
+        let audience = |unit| match unit {
+            BROADCAST => Audience::Broadcast,
+            _ if index(unit).is_some() => Audience::Unit,
+            _ => Audience::Other,
+        };
+        let modules = &mut self.modules;
+        serve_rtu(
+            frame,
+            audience,
+            |unit, request, data| match index(unit).and_then(|index| modules.get_mut(index)) {
+                Some(module) => dispatch(module, request, data),
+                None => broadcast(modules, request),
+            },
+            out,
+        )
+    }
+}
+
+/// Every module judges a broadcast for itself; the last refusal is told.
+fn broadcast<M: Module>(modules: &mut [M], request: &Request<'_>) -> Response<'static> {
+    let mut refusal = None;
+    for module in modules {
+        if let Response::Exception { exception, .. } = dispatch(module, request, &mut []) {
+            refusal = Some(exception);
+        }
+    }
+    match refusal {
+        Some(exception) => Response::exception(request.function(), exception),
+        None => Response::Other { function: request.function(), data: &[] },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::modbus::rtu;
+    use crate::ndam9010::{Layout, RamModule};
+
+    fn station() -> Station<RamModule, 3> {
+        let layout = Layout { digital_outputs: 8, ..Layout::default() };
+        Station::new([(); 3].map(|()| RamModule::new(layout)), 5).unwrap()
+    }
+
+    #[test]
+    fn units_follow_the_start_id_and_end_at_247() {
+        let layout = Layout::default();
+        let make = |start| Station::new([(); 8].map(|()| RamModule::new(layout)), start).err();
+        assert_eq!(make(0), Some(StationError::StartId));
+        assert_eq!(make(1), None);
+        assert_eq!(make(240), None);
+        assert_eq!(make(241), Some(StationError::StartId));
+        assert_eq!(Station::<RamModule, 0>::new([], 1).err(), Some(StationError::Modules));
+        assert_eq!(
+            Station::new([(); 9].map(|()| RamModule::new(layout)), 1).err(),
+            Some(StationError::Modules)
+        );
+    }
+
+    #[test]
+    fn each_module_is_a_unit_and_a_broadcast_reaches_all() {
+        let mut station = station();
+        let (mut frame, mut out) = ([0; 16], [0; 16]);
+        let request = Request::WriteSingleCoil { address: 0x0200, value: 0xFF00 };
+        let sent = rtu::encode_request(6, &request, &mut frame).unwrap();
+        assert_eq!(station.serve(sent, &mut out), Ok(sent));
+        assert_eq!(station.modules().each_ref().map(|module| module.outputs), [0, 1, 0]);
+        for unit in [4, 8] {
+            let sent = rtu::encode_request(unit, &request, &mut frame).unwrap();
+            assert_eq!(station.serve(sent, &mut out), Err(Silence::OtherUnit));
+        }
+        let sent = rtu::encode_request(0, &request, &mut frame).unwrap();
+        assert_eq!(station.serve(sent, &mut out), Err(Silence::Broadcast(None)));
+        assert_eq!(station.modules().each_ref().map(|module| module.outputs), [1, 1, 1]);
+        let read = Request::ReadCoils(crate::modbus::Range::new(0x0200, 1));
+        let sent = rtu::encode_request(0, &read, &mut frame).unwrap();
+        assert_eq!(station.serve(sent, &mut out), Err(Silence::BroadcastRead));
+    }
+}

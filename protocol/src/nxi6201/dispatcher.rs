@@ -1,0 +1,468 @@
+use super::{BROADCAST, CHANNELS, Channel, External, OutputRange, Register, Settings};
+use crate::modbus::server::{Audience, Silence, serve_rtu};
+use crate::modbus::{
+    ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
+};
+
+/// The outputs could not be driven or the settings not be stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CommitError;
+
+/// What a card's firmware puts behind its dispatcher.
+pub trait Hardware {
+    /// Makes new settings true: drives the outputs and stores what is to survive power-off. Called once a request
+    /// that writes, with all of it.
+    ///
+    /// # Errors
+    /// [`CommitError`], and the former settings stay.
+    fn commit(&mut self, settings: &Settings) -> Result<(), CommitError>;
+}
+
+/// [`Hardware`] in memory, for tests and simulators.
+#[derive(Debug, Clone, Default)]
+pub struct RamHardware {
+    /// What was committed last.
+    pub committed: Option<Settings>,
+}
+
+impl Hardware for RamHardware {
+    fn commit(&mut self, settings: &Settings) -> Result<(), CommitError> {
+        self.committed = Some(*settings);
+        Ok(())
+    }
+}
+
+/// An NXI-6201: its registers and what requests do to them.
+#[derive(Debug)]
+pub struct Card<H> {
+    hardware: H,
+    settings: Settings,
+    /// Last seen state of the external inputs.
+    inputs: [bool; CHANNELS],
+}
+
+impl<H: Hardware> Card<H> {
+    /// Powers the card up with the settings that it stored.
+    ///
+    /// # Errors
+    /// [`CommitError`] where the outputs can't be driven.
+    pub fn power_up(mut hardware: H, stored: &Settings) -> Result<Self, CommitError> {
+        let settings = stored.after_power_up();
+        hardware.commit(&settings)?;
+        Ok(Self { hardware, settings, inputs: [false; CHANNELS] })
+    }
+
+    /// The registers.
+    #[must_use]
+    pub const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// What is behind the dispatcher.
+    pub const fn hardware(&mut self) -> &mut H {
+        &mut self.hardware
+    }
+
+    /// Tells the card the state of a channel's external input (5.1.7); channels past the last are ignored.
+    ///
+    /// # Errors
+    /// [`CommitError`] where the output can't be driven; the register keeps its value.
+    pub fn external_input(&mut self, channel: usize, active: bool) -> Result<(), CommitError> {
+        let mut settings = self.settings;
+        let (Some(registers), Some(input)) =
+            (settings.channels.get_mut(channel), self.inputs.get_mut(channel))
+        else {
+            return Ok(());
+        };
+        let was_active = core::mem::replace(input, active);
+        let rising = active && !was_active;
+        registers.output = match registers.external {
+            External::Off => registers.output,
+            External::Toggle => registers.output != rising,
+            External::Hold => active,
+        };
+        self.commit(settings)
+    }
+
+    /// Switches every output off; set values stay.
+    ///
+    /// # Errors
+    /// [`CommitError`] where the outputs can't be driven; the registers keep their values.
+    pub fn outputs_off(&mut self) -> Result<(), CommitError> {
+        let mut settings = self.settings;
+        settings.channels.iter_mut().for_each(|channel| channel.output = false);
+        self.commit(settings)
+    }
+
+    /// Answers a frame to `id`, or to all, into `out`.
+    ///
+    /// # Errors
+    /// [`Silence`]: why there is no answer.
+    pub fn serve<'b>(&mut self, id: u8, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
+        let audience = |unit| match unit {
+            BROADCAST => Audience::Broadcast,
+            _ if unit == id => Audience::Unit,
+            _ => Audience::Other,
+        };
+        serve_rtu(frame, audience, |_, request, data| self.dispatch(request, data), out)
+    }
+
+    /// Judges a request whole, then carries it out whole. What a read reads is put into `data`.
+    ///
+    /// Exceptions (the manual names none): 01 for other function codes, 02 for odd or unmapped addresses and odd
+    /// counts, 03 for values outside their set or range, 04 where the hardware fails.
+    pub fn dispatch<'d>(&mut self, request: &Request<'_>, data: &'d mut [u8]) -> Response<'d> {
+        let function = request.function();
+        let result = match *request {
+            Request::ReadHoldingRegisters(range) => {
+                return match self.read(range, data) {
+                    Ok(data) => Response::Read { function, data },
+                    Err(exception) => Response::exception(function, exception),
+                };
+            }
+            Request::WriteMultipleRegisters { range, data } => self.write(range, data).map(|()| range),
+            _ => Err(ExceptionCode::IllegalFunction),
+        };
+        match result {
+            Ok(range) => Response::WriteMultiple { function, range },
+            Err(exception) => Response::exception(function, exception),
+        }
+    }
+
+    fn read<'d>(&self, range: Range, data: &'d mut [u8]) -> Result<&'d [u8], ExceptionCode> {
+        let pairs = pairs(range, READ_REGISTERS_MAX)?;
+        let length = usize::from(range.quantity).saturating_mul(2);
+        let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
+        for (place, register) in data.as_chunks_mut::<4>().0.iter_mut().zip(pairs) {
+            let value = register.and_then(|register| self.settings.read(register));
+            let [a, b, c, d] = value.ok_or(ExceptionCode::IllegalDataAddress)?.to_be_bytes();
+            *place = [c, d, a, b];
+        }
+        Ok(data)
+    }
+
+    fn write(&mut self, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
+        if data.len() != usize::from(range.quantity).saturating_mul(2) {
+            return Err(ExceptionCode::IllegalDataValue);
+        }
+        if pairs(range, WRITE_REGISTERS_MAX)?.any(|register| register.is_none()) {
+            return Err(ExceptionCode::IllegalDataAddress);
+        }
+        let mut change =
+            Change { settings: self.settings, set_value: [false; CHANNELS], start_value: [false; CHANNELS] };
+        let mut words = registers(data);
+        for register in pairs(range, WRITE_REGISTERS_MAX)?.flatten() {
+            let (Some(low), Some(high)) = (words.next(), words.next()) else { break };
+            change
+                .write(register, u32::from(high) << 16 | u32::from(low))
+                .ok_or(ExceptionCode::IllegalDataValue)?;
+        }
+        let settings = change.judge().ok_or(ExceptionCode::IllegalDataValue)?;
+        self.commit(settings).map_err(|CommitError| ExceptionCode::ServerDeviceFailure)
+    }
+
+    fn commit(&mut self, settings: Settings) -> Result<(), CommitError> {
+        self.hardware.commit(&settings)?;
+        self.settings = settings;
+        Ok(())
+    }
+}
+
+/// The register pairs of a request, in order; `None` in place of one that is not mapped.
+fn pairs(range: Range, max: u16) -> Result<impl Iterator<Item = Option<Register>>, ExceptionCode> {
+    if range.quantity == 0 || range.quantity > max {
+        return Err(ExceptionCode::IllegalDataValue);
+    }
+    if !range.start.is_multiple_of(2) || !range.quantity.is_multiple_of(2) || range.last().is_none() {
+        return Err(ExceptionCode::IllegalDataAddress);
+    }
+    Ok(range.addresses().step_by(2).map(Register::at))
+}
+
+/// Settings while a write is being put together.
+struct Change {
+    settings: Settings,
+    /// Which set values the write names itself.
+    set_value: [bool; CHANNELS],
+    /// Which power-up set values the write names itself.
+    start_value: [bool; CHANNELS],
+}
+
+impl Change {
+    /// Takes one value; `None` where it is outside its set. Limits of ranges are judged at the end.
+    fn write(&mut self, register: Register, value: u32) -> Option<()> {
+        let settings = &mut self.settings;
+        let channels = &mut settings.channels;
+        match register {
+            Register::Range(index) => channels.get_mut(index)?.range = OutputRange::from_value(value)?,
+            Register::SetValue(index) => {
+                channels.get_mut(index)?.set_value = f32::from_bits(value);
+                *self.set_value.get_mut(index)? = true;
+            }
+            Register::Output(index) => channels.get_mut(index)?.output = switch(value)?,
+            Register::StartEnable(index) => channels.get_mut(index)?.start_enable = value,
+            Register::StartRange(index) => {
+                channels.get_mut(index)?.start_range = OutputRange::from_value(value)?;
+            }
+            Register::StartValue(index) => {
+                channels.get_mut(index)?.start_value = f32::from_bits(value);
+                *self.start_value.get_mut(index)? = true;
+            }
+            Register::External(index) => channels.get_mut(index)?.external = External::from_value(value)?,
+            Register::CanBitRate => {
+                settings.can_bit_rate = Some(value).filter(|rate| (5000..=1_000_000).contains(rate))?;
+            }
+            Register::CanId => settings.can_id = Some(value).filter(|id| (1..=127).contains(id))?,
+            Register::Keep => settings.keep = switch(value)?,
+            Register::FactoryReset => {
+                Some(value).filter(|value| *value == 1)?;
+                settings.factory_reset();
+            }
+        }
+        Some(())
+    }
+
+    /// The settings that the write leaves behind; `None` where a value that it names does not fit its range.
+    /// A value that it does not name and that no longer fits becomes 0: an output never jumps to a value that nobody
+    /// asked for in that unit.
+    fn judge(mut self) -> Option<Settings> {
+        let named = self.set_value.into_iter().zip(self.start_value);
+        for (channel, (set_named, start_named)) in self.settings.channels.iter_mut().zip(named) {
+            let Channel { range, start_range, .. } = *channel;
+            fit(range, &mut channel.set_value, set_named)?;
+            fit(start_range, &mut channel.start_value, start_named)?;
+        }
+        Some(self.settings)
+    }
+}
+
+fn fit(range: OutputRange, value: &mut f32, named: bool) -> Option<()> {
+    if !range.holds(*value) {
+        if named {
+            return None;
+        }
+        *value = 0.0;
+    }
+    Some(())
+}
+
+const fn switch(value: u32) -> Option<bool> {
+    match value {
+        0 => Some(false),
+        1 => Some(true),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::modbus::PDU_MAX;
+    use std::vec::Vec;
+
+    fn card() -> Card<RamHardware> {
+        Card::power_up(RamHardware::default(), &Settings::default()).unwrap()
+    }
+
+    fn words(values: &[u32]) -> Vec<u8> {
+        values
+            .iter()
+            .flat_map(|value| [*value as u16, (value >> 16) as u16])
+            .flat_map(u16::to_be_bytes)
+            .collect()
+    }
+
+    fn write(card: &mut Card<RamHardware>, start: u16, values: &[u32]) -> Result<(), ExceptionCode> {
+        let (range, data) = (Range::new(start, values.len() as u16 * 2), words(values));
+        match card.dispatch(&Request::WriteMultipleRegisters { range, data: &data }, &mut []) {
+            Response::WriteMultiple { range: written, .. } if written == range => Ok(()),
+            Response::Exception { exception, .. } => Err(exception),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn read(card: &mut Card<RamHardware>, start: u16, quantity: u16) -> Result<Vec<u8>, ExceptionCode> {
+        let mut data = [0xEE; PDU_MAX];
+        match card.dispatch(&Request::ReadHoldingRegisters(Range::new(start, quantity)), &mut data) {
+            Response::Read { data, .. } => Ok(data.to_vec()),
+            Response::Exception { exception, .. } => Err(exception),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    const ADDRESS: ExceptionCode = ExceptionCode::IllegalDataAddress;
+    const VALUE: ExceptionCode = ExceptionCode::IllegalDataValue;
+
+    #[test]
+    fn the_printed_write_sets_the_range() {
+        let mut card = card();
+        let frame = [0x1F, 0x10, 0x00, 0x02, 0x00, 0x02, 0x04, 0x00, 0x02, 0x00, 0x00, 0xB3, 0x9E];
+        let mut out = [0xEE; 8];
+        let reply = card.serve(31, &frame, &mut out).unwrap();
+        assert_eq!(reply[..6], frame[..6]);
+        assert_eq!(card.settings().channels[0].range, OutputRange::Milliamperes200);
+        assert_eq!(card.serve(30, &frame, &mut out), Err(Silence::OtherUnit));
+    }
+
+    #[test]
+    fn set_value_and_output_are_read_back_low_word_first() {
+        let mut card = card();
+        write(&mut card, 4, &[2.5f32.to_bits(), 1]).unwrap();
+        assert_eq!(read(&mut card, 4, 4).unwrap(), [0, 0, 0x40, 0x20, 0, 1, 0, 0]);
+        let settings = *card.settings();
+        assert_eq!(card.hardware().committed, Some(settings));
+    }
+
+    #[test]
+    fn every_mapped_register_and_no_other_is_read() {
+        let mapped: Vec<u16> = (0..4)
+            .flat_map(|channel| (0..6).map(move |register| 2 + 20 * channel + 2 * register))
+            .chain([80, 82, 84, 86, 422, 424, 428])
+            .collect();
+        for address in 0..=u16::MAX {
+            let expected = if mapped.contains(&address) { Ok(4) } else { Err(ADDRESS) };
+            assert_eq!(read(&mut card(), address, 2).map(|data| data.len()), expected, "{address}");
+        }
+    }
+
+    #[test]
+    fn addresses_and_counts() {
+        let mut card = card();
+        assert_eq!(read(&mut card, 2, 12).unwrap().len(), 24);
+        assert_eq!(read(&mut card, 2, 14), Err(ADDRESS), "runs into the gap");
+        assert_eq!(read(&mut card, 2, 3), Err(ADDRESS));
+        assert_eq!(read(&mut card, 2, 0), Err(VALUE));
+        assert_eq!(read(&mut card, 2, 126), Err(VALUE));
+        assert_eq!(read(&mut card, 0xFFFE, 4), Err(ADDRESS));
+        assert_eq!(write(&mut card, 3, &[0]), Err(ADDRESS));
+        assert_eq!(write(&mut card, 12, &[0, 0]), Err(ADDRESS));
+        let short = Request::WriteMultipleRegisters { range: Range::new(2, 2), data: &[0, 0] };
+        assert!(matches!(card.dispatch(&short, &mut []), Response::Exception { exception: VALUE, .. }));
+        let other = Request::ReadInputRegisters(Range::new(2, 2));
+        let illegal = ExceptionCode::IllegalFunction;
+        assert!(
+            matches!(card.dispatch(&other, &mut []), Response::Exception { exception, .. } if exception == illegal)
+        );
+    }
+
+    #[test]
+    fn a_write_is_all_or_nothing_and_judged_by_what_it_leaves() {
+        let mut card = card();
+        let before = *card.settings();
+        assert_eq!(write(&mut card, 2, &[2, 150f32.to_bits(), 2]), Err(VALUE), "output is 0 or 1");
+        assert_eq!(*card.settings(), before);
+        assert_eq!(write(&mut card, 4, &[150f32.to_bits()]), Err(VALUE), "beyond 5 V");
+        assert_eq!(write(&mut card, 2, &[2, 150f32.to_bits()]), Ok(()), "150 mA");
+        assert_eq!(write(&mut card, 2, &[1]), Ok(()));
+        assert_eq!(card.settings().channels[0].set_value, 0.0, "150 does not fit 0.2 V");
+        assert_eq!(write(&mut card, 4, &[0.1f32.to_bits()]), Ok(()));
+        assert_eq!(write(&mut card, 2, &[0]), Ok(()));
+        assert_eq!(card.settings().channels[0].set_value, 0.1, "0.1 V fits 5 V");
+        for wrong in [f32::NAN, f32::INFINITY, -f32::INFINITY, 5.001, -5.001] {
+            assert_eq!(write(&mut card, 4, &[wrong.to_bits()]), Err(VALUE));
+            assert_eq!(write(&mut card, 12, &[wrong.to_bits()]), Err(VALUE));
+        }
+        assert_eq!(write(&mut card, 10, &[2, 200f32.to_bits()]), Ok(()));
+        assert_eq!(write(&mut card, 10, &[0]), Ok(()));
+        assert_eq!(card.settings().channels[0].start_value, 0.0);
+    }
+
+    #[test]
+    fn values_outside_their_set() {
+        let mut card = card();
+        for (address, value) in
+            [(2, 3), (6, 2), (10, 3), (80, 3), (422, 4999), (422, 1_000_001), (424, 0), (424, 128)]
+        {
+            assert_eq!(write(&mut card, address, &[value]), Err(VALUE), "{address} = {value}");
+        }
+        assert_eq!(write(&mut card, 428, &[2]), Err(VALUE));
+        assert_eq!(write(&mut card, 62436, &[0]), Err(VALUE));
+        assert_eq!(write(&mut card, 8, &[7]), Ok(()), "anything but 1 is off");
+    }
+
+    #[test]
+    fn factory_reset_spares_what_has_no_default() {
+        let mut card = card();
+        write(&mut card, 2, &[2, 150f32.to_bits(), 1, 1, 2, 20f32.to_bits()]).unwrap();
+        write(&mut card, 80, &[2]).unwrap();
+        write(&mut card, 422, &[500_000, 7]).unwrap();
+        write(&mut card, 428, &[1]).unwrap();
+        write(&mut card, 62436, &[1]).unwrap();
+        let channel = Channel { output: true, start_enable: 1, ..Channel::default() };
+        let mut expected = Settings::default();
+        expected.channels[0] = channel;
+        assert_eq!(*card.settings(), expected);
+    }
+
+    #[test]
+    fn power_up() {
+        let mut stored = Settings::default();
+        stored.channels[0] = Channel {
+            range: OutputRange::Milliamperes200,
+            set_value: 100.0,
+            output: true,
+            external: External::Hold,
+            ..Channel::default()
+        };
+        stored.channels[1] = Channel {
+            output: false,
+            start_enable: 1,
+            start_range: OutputRange::Volts5,
+            start_value: 3.0,
+            ..stored.channels[0]
+        };
+        let forgotten = stored.after_power_up();
+        assert_eq!(forgotten.channels[0], Channel::default());
+        assert_eq!((forgotten.channels[1].set_value, forgotten.channels[1].output), (3.0, true));
+        stored.keep = true;
+        let kept = stored.after_power_up();
+        assert_eq!(kept.channels[0], Channel { output: false, ..stored.channels[0] });
+        assert_eq!((kept.channels[1].set_value, kept.channels[1].output), (3.0, true));
+    }
+
+    #[test]
+    fn external_control() {
+        let mut card = card();
+        write(&mut card, 80, &[1, 2]).unwrap();
+        let mut seen = Vec::new();
+        for active in [false, true, true, false, true] {
+            card.external_input(0, active).unwrap();
+            card.external_input(1, active).unwrap();
+            card.external_input(2, active).unwrap();
+            seen.push([0, 1, 2].map(|channel| card.settings().channels[channel].output));
+        }
+        assert_eq!(
+            seen,
+            [
+                [false; 3],
+                [true, true, false],
+                [true, true, false],
+                [true, false, false],
+                [false, true, false]
+            ]
+        );
+        write(&mut card, 26, &[1]).unwrap();
+        card.outputs_off().unwrap();
+        assert!(card.settings().channels.iter().all(|channel| !channel.output));
+    }
+
+    #[test]
+    fn failing_hardware_leaves_the_registers() {
+        #[derive(Default)]
+        struct Broken(bool);
+        impl Hardware for Broken {
+            fn commit(&mut self, _: &Settings) -> Result<(), CommitError> {
+                if self.0 { Err(CommitError) } else { Ok(()) }
+            }
+        }
+        let mut card = Card::power_up(Broken::default(), &Settings::default()).unwrap();
+        card.hardware().0 = true;
+        let data = words(&[1]);
+        let request = Request::WriteMultipleRegisters { range: Range::new(6, 2), data: &data };
+        let failure = ExceptionCode::ServerDeviceFailure;
+        let response = card.dispatch(&request, &mut []);
+        assert!(matches!(response, Response::Exception { exception, .. } if exception == failure));
+        assert!(!card.settings().channels[0].output);
+    }
+}
