@@ -1,4 +1,4 @@
-//! CRC-16/MODBUS, which NST and Modbus RTU frames share.
+//! CRC-16/MODBUS, which NST and Modbus RTU frames share, and the LRC of Modbus ASCII.
 
 use crate::wire::{NoSpace, Writer};
 
@@ -31,9 +31,20 @@ pub fn seal(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
     writer.slice(&crc.to_le_bytes())
 }
 
+/// LRC of Modbus ASCII over the bytes that the characters stand for: two's complement of their 8-bit sum.
+#[must_use]
+pub fn lrc(bytes: &[u8]) -> u8 {
+    bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)).wrapping_neg()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lrc_of_the_ndam_manual_corrected() {
+        assert_eq!(lrc(&[0x02, 0x01, 0x00, 0x00, 0x00, 0x01]), 0xFC);
+    }
 
     #[test]
     fn check_value_of_the_catalogue() {

@@ -216,40 +216,39 @@ impl<const N: usize> BurstDeframer<N> {
     }
 }
 
-/// What a master waits for.
-pub trait Expectation {
-    /// Lengths in bytes, checksum included, that the reply can have; 0 stands for none.
-    fn lengths(&self) -> [usize; 2];
+/// What a master waits for: up to `L` kinds of frame, told apart by their place.
+pub trait Expectation<const L: usize> {
+    /// Length in bytes, checksum included, of each kind; 0 stands for none.
+    fn lengths(&self) -> [usize; L];
 
-    /// Whether bytes of one of these lengths, or all up to a silence, are the reply: address, function code and
-    /// checksum.
-    fn accepts(&self, frame: &[u8]) -> bool;
+    /// Whether bytes of that kind's length are such a frame: address, function code and checksum.
+    fn accepts(&self, kind: usize, frame: &[u8]) -> bool;
 }
 
-/// The master's side of a line: finds the reply it waits for behind any noise.
+/// The master's side of a line: finds the replies it waits for behind any noise.
 ///
-/// Each position is tried once for each length, so the work is linear and a false start delays nothing.
+/// Each position is tried once for each kind, so the work is linear and a false start delays nothing.
 /// `N` must exceed the longest reply.
 #[derive(Debug)]
-pub struct ReplySearch<const N: usize> {
+pub struct ReplySearch<const N: usize, const L: usize> {
     buffer: [u8; N],
     used: usize,
-    /// First position not yet tried, for each of the two lengths.
-    next: [usize; 2],
+    /// First position not yet tried, for each kind.
+    next: [usize; L],
     delivered: bool,
 }
 
-impl<const N: usize> Default for ReplySearch<N> {
+impl<const N: usize, const L: usize> Default for ReplySearch<N, L> {
     fn default() -> Self {
-        Self { buffer: [0; N], used: 0, next: [0; 2], delivered: false }
+        Self { buffer: [0; N], used: 0, next: [0; L], delivered: false }
     }
 }
 
-impl<const N: usize> ReplySearch<N> {
-    /// Forgets what has been received: a new request is under way.
+impl<const N: usize, const L: usize> ReplySearch<N, L> {
+    /// Forgets what has been received: to be called before anything else is expected.
     pub const fn clear(&mut self) {
         self.used = 0;
-        self.next = [0; 2];
+        self.next = [0; L];
         self.delivered = false;
     }
 
@@ -259,53 +258,56 @@ impl<const N: usize> ReplySearch<N> {
         self.used > 0 && !self.delivered
     }
 
-    /// Takes bytes until the reply is found or none are left.
-    pub fn feed(&mut self, wanted: &impl Expectation, bytes: &mut &[u8]) -> Option<&[u8]> {
+    /// Takes bytes until a reply is found or none are left; tells its kind.
+    pub fn feed(&mut self, wanted: &impl Expectation<L>, bytes: &mut &[u8]) -> Option<(usize, &[u8])> {
         if self.delivered {
             self.clear();
         }
+        let lengths = wanted.lengths();
         while let Some((byte, rest)) = bytes.split_first() {
             *bytes = rest;
             if self.used >= N {
-                self.slide(wanted);
+                self.slide(&lengths);
             }
             if let Some(place) = self.buffer.get_mut(self.used) {
                 *place = *byte;
                 self.used = self.used.wrapping_add(1);
             }
-            if let Some(found) = self.try_positions(wanted) {
+            if let Some((kind, found)) = self.try_positions(wanted, &lengths) {
                 self.delivered = true;
-                return self.buffer.get(found);
+                return self.buffer.get(found).map(|frame| (kind, frame));
             }
         }
         None
     }
 
-    /// The line fell silent: a reply of unknown length may end here.
-    pub fn at_silence(&mut self, wanted: &impl Expectation) -> Option<&[u8]> {
-        let start = (0..self.used)
-            .find(|&start| self.buffer.get(start..self.used).is_some_and(|frame| wanted.accepts(frame)))?;
+    /// The line fell silent: a reply of unknown length, of which `accepts` tells, may end here.
+    pub fn at_silence(&mut self, accepts: impl Fn(&[u8]) -> bool) -> Option<&[u8]> {
+        let start = (0..self.used).find(|&start| self.buffer.get(start..self.used).is_some_and(&accepts))?;
         self.delivered = true;
         self.buffer.get(start..self.used)
     }
 
-    fn try_positions(&mut self, wanted: &impl Expectation) -> Option<core::ops::Range<usize>> {
-        for (length, next) in wanted.lengths().into_iter().zip(&mut self.next) {
-            while length > 0 && next.saturating_add(length) <= self.used {
-                let start = *next;
+    fn try_positions(
+        &mut self,
+        wanted: &impl Expectation<L>,
+        lengths: &[usize; L],
+    ) -> Option<(usize, core::ops::Range<usize>)> {
+        for (kind, (length, next)) in lengths.iter().zip(&mut self.next).enumerate() {
+            while *length > 0 && next.saturating_add(*length) <= self.used {
+                let range = *next..next.saturating_add(*length);
                 *next = next.wrapping_add(1);
-                let range = start..start.saturating_add(length);
-                if self.buffer.get(range.clone()).is_some_and(|frame| wanted.accepts(frame)) {
-                    return Some(range);
+                if self.buffer.get(range.clone()).is_some_and(|frame| wanted.accepts(kind, frame)) {
+                    return Some((kind, range));
                 }
             }
         }
         None
     }
 
-    /// Drops the bytes that can no longer start a reply; all, where none of the lengths applies.
-    fn slide(&mut self, wanted: &impl Expectation) {
-        let tried = wanted.lengths().into_iter().zip(self.next).filter(|(length, _)| *length > 0);
+    /// Drops the bytes that can no longer start a reply; all, where no kind has a length.
+    fn slide(&mut self, lengths: &[usize; L]) {
+        let tried = lengths.iter().zip(self.next).filter(|(length, _)| **length > 0);
         let done = tried.map(|(_, next)| next).min().filter(|done| *done > 0).unwrap_or(self.used);
         if done <= self.used {
             self.buffer.copy_within(done..self.used, 0);
@@ -454,25 +456,27 @@ mod tests {
 
     struct Reply;
 
-    impl Expectation for Reply {
+    impl Expectation<2> for Reply {
         fn lengths(&self) -> [usize; 2] {
             [6, 3]
         }
-        fn accepts(&self, frame: &[u8]) -> bool {
+        fn accepts(&self, kind: usize, frame: &[u8]) -> bool {
+            assert_eq!(frame.len(), self.lengths()[kind]);
             frame[0] == 7 && Toy.is_valid(frame)
         }
     }
 
     #[test]
     fn the_reply_is_found_behind_noise_of_any_length() {
-        for (reply, noise) in [(&[7, 1, 1, 1, 1, 11][..], 7), (&[7, 2, 9], 7), (&[7, 2, 9], 1)] {
+        for (kind, reply, noise) in [(0, &[7, 1, 1, 1, 1, 11][..], 7), (1, &[7, 2, 9], 7), (1, &[7, 2, 9], 1)]
+        {
             for length in 0..40 {
-                let mut search = ReplySearch::<16>::default();
+                let mut search = ReplySearch::<16, 2>::default();
                 let mut stream = std::vec![noise; length];
                 stream.extend_from_slice(reply);
                 stream.push(77);
                 let mut rest = &stream[..];
-                assert_eq!(search.feed(&Reply, &mut rest), Some(reply), "{length} bytes of noise");
+                assert_eq!(search.feed(&Reply, &mut rest), Some((kind, reply)), "{length} bytes of noise");
                 assert_eq!(rest, [77]);
                 assert!(!search.has_leftovers());
                 assert_eq!(search.feed(&Reply, &mut rest), None);
@@ -483,17 +487,9 @@ mod tests {
 
     #[test]
     fn a_reply_of_unknown_length_ends_at_silence() {
-        struct Any;
-        impl Expectation for Any {
-            fn lengths(&self) -> [usize; 2] {
-                [0, 0]
-            }
-            fn accepts(&self, frame: &[u8]) -> bool {
-                frame[0] == 7 && frame.len() > 2 && Toy.is_valid(frame)
-            }
-        }
-        let mut search = ReplySearch::<16>::default();
-        assert_eq!(search.feed(&Any, &mut &[1, 2, 7, 5, 5, 17][..]), None);
-        assert_eq!(search.at_silence(&Any), Some(&[7, 5, 5, 17][..]));
+        let mut search = ReplySearch::<16, 2>::default();
+        assert_eq!(search.feed(&Reply, &mut &[1, 2, 7, 5, 5, 17][..]), None);
+        let accepts = |frame: &[u8]| frame[0] == 7 && frame.len() > 2 && Toy.is_valid(frame);
+        assert_eq!(search.at_silence(accepts), Some(&[7, 5, 5, 17][..]));
     }
 }

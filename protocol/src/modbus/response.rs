@@ -1,5 +1,5 @@
 use super::request::{counted, write_range};
-use super::{ExceptionCode, FunctionCode, Range, Request, bytes_of_bits};
+use super::{ExceptionCode, FunctionCode, Range};
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 /// A server's answer.
@@ -122,36 +122,5 @@ impl<'a> Response<'a> {
     #[must_use]
     pub const fn exception(function: FunctionCode, exception: ExceptionCode) -> Self {
         Self::Exception { function, exception }
-    }
-
-    /// Whether this can be the answer to `request`: function code, length, and for writes the echoed address and
-    /// quantity fit.
-    ///
-    /// Modbus numbers nothing: a late answer to an equal request fits as well.
-    #[must_use]
-    pub fn answers(&self, request: &Request<'_>) -> bool {
-        match (*self, *request) {
-            (Self::Exception { function, .. }, _) => function == request.function(),
-            (
-                Self::Read { function, data },
-                Request::ReadCoils(range) | Request::ReadDiscreteInputs(range),
-            ) => function == request.function() && data.len() == bytes_of_bits(range.quantity),
-            (
-                Self::Read { function, data },
-                Request::ReadHoldingRegisters(range) | Request::ReadInputRegisters(range),
-            ) => function == request.function() && data.len() == usize::from(range.quantity).wrapping_mul(2),
-            (
-                Self::WriteSingle { function, address, value },
-                Request::WriteSingleCoil { address: to, value: new }
-                | Request::WriteSingleRegister { address: to, value: new },
-            ) => function == request.function() && address == to && value == new,
-            (
-                Self::WriteMultiple { function, range },
-                Request::WriteMultipleCoils { range: wanted, .. }
-                | Request::WriteMultipleRegisters { range: wanted, .. },
-            ) => function == request.function() && range == wanted,
-            (Self::Other { function, .. }, Request::Other { function: asked, .. }) => function == asked,
-            _ => false,
-        }
     }
 }

@@ -325,6 +325,7 @@ fn write_registers(module: &mut impl Module, range: Range, data: &[u8]) -> Resul
 mod tests {
     use super::*;
     use crate::modbus::PDU_MAX;
+    use crate::modbus::rtu::{self, ExpectedResponse};
     use std::vec::Vec;
 
     const FULL: Layout =
@@ -341,10 +342,11 @@ mod tests {
 
     /// The response's data unit, or the exception's code.
     fn ask(module: &mut RamModule, pdu: &[u8]) -> Result<Vec<u8>, u8> {
-        let (mut data, mut out) = ([0xEE; PDU_MAX], [0xEE; PDU_MAX]);
+        let (mut data, mut out) = ([0xEE; PDU_MAX], [0xEE; rtu::FRAME_MAX]);
         let request = Request::decode(pdu).unwrap();
         let response = dispatch(module, &request, &mut data);
-        assert!(response.answers(&request) || matches!(response, Response::Exception { .. }));
+        let frame = rtu::encode_response(1, &response, &mut out).unwrap();
+        assert!(ExpectedResponse::new(1, &request).accepts(frame));
         if let Response::Exception { exception, .. } = response {
             return Err(exception.code());
         }

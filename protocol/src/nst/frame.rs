@@ -151,34 +151,6 @@ impl<'a> Request<'a> {
             Self::Write { data, .. } => u8::try_from(data.len()).unwrap_or(u8::MAX),
         }
     }
-
-    /// Length of the reply's body.
-    #[must_use]
-    pub fn reply_length(&self) -> usize {
-        let data = if self.function().is_read() { usize::from(self.length()) } else { 0 };
-        REPLY_HEADER.saturating_add(data)
-    }
-
-    /// Whether `body` is a reply to this request: function code and length fit.
-    ///
-    /// On CAN the manual prints the reply to a read with function code 0x10 (4.3.2.10): see
-    /// [`Request::is_answered_with_quirk`].
-    #[must_use]
-    pub fn is_answered_by(&self, body: &[u8]) -> bool {
-        self.fits(self.function(), body)
-    }
-
-    /// Whether `body` answers this read, but with function code 0x10 as the manual prints it for CAN (4.3.2.10).
-    #[must_use]
-    pub fn is_answered_with_quirk(&self, body: &[u8]) -> bool {
-        self.function().is_read() && self.fits(FunctionCode::Write, body)
-    }
-
-    fn fits(&self, function: FunctionCode, body: &[u8]) -> bool {
-        body.split_first_chunk::<REPLY_HEADER>().is_some_and(|([code, length], _)| {
-            *code == function.code() && *length == self.length() && body.len() == self.reply_length()
-        })
-    }
 }
 
 /// A device's answer.
@@ -273,19 +245,5 @@ mod tests {
                 assert_eq!(Request::decode(&[code, 0, 0, 1]), Err(BodyError::UnknownFunction(code)));
             }
         }
-    }
-
-    #[test]
-    fn a_reply_fits_its_request_by_function_code_and_length() {
-        let read = Request::read(0x0200, 2);
-        assert!(read.is_answered_by(&[3, 2, 9, 9]));
-        assert!(!read.is_answered_by(&[3, 2, 9]));
-        assert!(!read.is_answered_by(&[3, 3, 9, 9, 9]));
-        assert!(!read.is_answered_by(&[0x10, 2, 9, 9]));
-        assert!(read.is_answered_with_quirk(&[0x10, 2, 9, 9]));
-        let write = Request::Write { register: 0x0193, data: &[5] };
-        assert!(write.is_answered_by(&[0x10, 1]));
-        assert!(!write.is_answered_by(&[0x10, 1, 5]));
-        assert!(!write.is_answered_with_quirk(&[0x10, 1]));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request, WRITE_DATA_MAX};
 use crate::checksum;
-use crate::deframe::{Format, FrameLength};
+use crate::deframe::{Expectation, Format, FrameLength};
 use crate::wire::{NoSpace, Writer};
 
 /// Bytes around a body: address and CRC.
@@ -94,5 +94,120 @@ impl Format for Requests {
 
     fn is_broadcast(&self, frame: &[u8]) -> bool {
         frame.first() == Some(&super::BROADCAST)
+    }
+}
+
+/// What a master remembers of a request to know the reply: address, function code and length.
+///
+/// NST numbers nothing: a late reply to a request of the same function code and length fits as well.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ExpectedReply {
+    address: u8,
+    function: FunctionCode,
+    length: u8,
+}
+
+impl ExpectedReply {
+    /// What the device at `address` may answer to `request`.
+    #[must_use]
+    pub fn new(address: u8, request: &Request<'_>) -> Self {
+        Self { address, function: request.function(), length: request.length() }
+    }
+
+    /// Address that was asked.
+    #[must_use]
+    pub const fn address(&self) -> u8 {
+        self.address
+    }
+
+    /// Function code that was asked.
+    #[must_use]
+    pub const fn function(&self) -> FunctionCode {
+        self.function
+    }
+
+    /// Length of the reply's body.
+    #[must_use]
+    pub fn body_length(&self) -> usize {
+        let data = if self.function.is_read() { usize::from(self.length) } else { 0 };
+        REPLY_HEADER.saturating_add(data)
+    }
+
+    /// Whether `body` is the reply: function code and length fit.
+    #[must_use]
+    pub fn accepts_body(&self, body: &[u8]) -> bool {
+        self.fits(self.function, body)
+    }
+
+    /// Whether `body` is the reply to a read, but with function code 0x10, as the manual prints it for CAN (4.3.2.10).
+    #[must_use]
+    pub fn accepts_quirk(&self, body: &[u8]) -> bool {
+        self.function.is_read() && self.fits(FunctionCode::Write, body)
+    }
+
+    /// Whether a whole frame is the reply, its CRC included.
+    #[must_use]
+    pub fn accepts(&self, frame: &[u8]) -> bool {
+        frame.first() == Some(&self.address)
+            && Frame::decode(frame).is_some_and(|frame| self.accepts_body(frame.body))
+    }
+
+    fn fits(&self, function: FunctionCode, body: &[u8]) -> bool {
+        body.split_first_chunk::<REPLY_HEADER>().is_some_and(|([code, length], _)| {
+            *code == function.code() && *length == self.length && body.len() == self.body_length()
+        })
+    }
+}
+
+impl Expectation<1> for ExpectedReply {
+    fn lengths(&self) -> [usize; 1] {
+        [self.body_length().saturating_add(OVERHEAD)]
+    }
+
+    fn accepts(&self, _: usize, frame: &[u8]) -> bool {
+        self.accepts(frame)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reply_fits_its_request_by_function_code_and_length() {
+        let read = ExpectedReply::new(1, &Request::read(0x0200, 2));
+        assert!(read.accepts_body(&[3, 2, 9, 9]));
+        assert!(!read.accepts_body(&[3, 2, 9]));
+        assert!(!read.accepts_body(&[3, 3, 9, 9, 9]));
+        assert!(!read.accepts_body(&[0x10, 2, 9, 9]));
+        assert!(read.accepts_quirk(&[0x10, 2, 9, 9]));
+        let write = ExpectedReply::new(1, &Request::Write { register: 0x0193, data: &[5] });
+        assert!(write.accepts_body(&[0x10, 1]));
+        assert!(!write.accepts_body(&[0x10, 1, 5]));
+        assert!(!write.accepts_quirk(&[0x10, 1]));
+        // 4.3.1.1
+        let printed = [0x01, 0x10, 0x01, 0xEC, 0x00];
+        assert!(write.accepts(&printed));
+        assert!(!ExpectedReply::new(2, &Request::Write { register: 0x0193, data: &[5] }).accepts(&printed));
+        assert_eq!(write.lengths(), [printed.len()]);
+    }
+
+    #[test]
+    fn request_lengths() {
+        use FrameLength::{AtLeast, Exactly, Impossible};
+        for (prefix, expected) in [
+            (&[1][..], AtLeast(2)),
+            (&[1, 3], Exactly(7)),
+            (&[1, 0x19], Exactly(7)),
+            (&[1, 4], Impossible),
+            (&[1, 0x10, 0, 0], AtLeast(5)),
+            (&[1, 0x10, 0, 0, 0], Exactly(7)),
+            (&[1, 0x10, 0, 0, 249], Exactly(256)),
+            (&[1, 0x10, 0, 0, 250], Impossible),
+        ] {
+            assert_eq!(request_length(prefix), expected, "{prefix:x?}");
+        }
+        assert_eq!(REQUEST_MAX, 256);
     }
 }
