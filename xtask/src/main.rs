@@ -1,2 +1,81 @@
-//! xtask
-fn main() {}
+//! Everything a developer does with this repository, each as one command: `cargo xtask --help`.
+//!
+//! Every command first sets up what it needs and says so in one line; where it may not, it fails and names what to
+//! install. This file holds the command line only.
+
+mod demo;
+mod emulate;
+mod firmware;
+mod run;
+mod setup;
+mod test;
+mod workspace;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::workspace::Workspace;
+
+/// Set-up, build, emulate, demo, test.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", about, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Task,
+}
+
+/// One command each.
+#[derive(Subcommand)]
+enum Task {
+    /// Install everything that the other commands need and that is missing
+    Setup,
+    /// Build the STM32F405 image as .elf, .bin and .hex, and show how much of the part it takes
+    Firmware,
+    /// Run the image in the emulator, its ports reachable as TCP sockets
+    Emulate(emulate::Ports),
+    /// Watch a host talk through the bridge to simulated devices
+    Demo {
+        /// Stop after this many seconds instead of at Ctrl-C
+        #[arg(long)]
+        seconds: Option<u64>,
+    },
+    /// Run every check and test; this is what CI runs
+    Test(test::Selection),
+}
+
+fn main() -> ExitCode {
+    match run_task(Arguments::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // The causes say what to do; a backtrace would bury it.
+            eprintln!("error: {}", run::explain(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Hands the command to the file that knows it.
+fn run_task(task: Task) -> anyhow::Result<()> {
+    let workspace = Workspace::locate()?;
+    match task {
+        Task::Setup => setup::all(&workspace),
+        Task::Firmware => {
+            firmware::build(&workspace)?.report();
+            Ok(())
+        }
+        Task::Emulate(ports) => emulate::emulate(&workspace, &ports),
+        Task::Demo { seconds } => demo::demo(&workspace, seconds),
+        Task::Test(selection) => test::test(&workspace, &selection),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Arguments::command().debug_assert();
+    }
+}

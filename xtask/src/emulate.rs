@@ -1,0 +1,76 @@
+//! The image in the emulator, with its ports as TCP sockets.
+
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+
+use crate::workspace::Workspace;
+use crate::{firmware, run, setup};
+
+/// The package of the emulator's plugin; its library is called the same with underscores.
+const PLUGIN_PACKAGE: &str = "jointbus-emulator";
+
+/// The package whose programs run the emulator.
+const HARNESS_PACKAGE: &str = "jointbus-host-tests";
+
+/// Where the ports of the emulated part can be reached.
+#[derive(Args)]
+pub(crate) struct Ports {
+    /// Address of the host port, e.g. 127.0.0.1:5020
+    #[arg(long, value_name = "ADDRESS")]
+    host: SocketAddr,
+    /// Address of the first RS-485 port
+    #[arg(long, value_name = "ADDRESS")]
+    rs485_a: SocketAddr,
+    /// Address of the second RS-485 port
+    #[arg(long, value_name = "ADDRESS")]
+    rs485_b: SocketAddr,
+    /// Address of the CAN port
+    #[arg(long, value_name = "ADDRESS")]
+    can: SocketAddr,
+    /// Stop after this many seconds instead of at Ctrl-C
+    #[arg(long)]
+    seconds: Option<u64>,
+}
+
+/// Builds what is needed and runs it.
+pub(crate) fn emulate(workspace: &Workspace, ports: &Ports) -> Result<()> {
+    setup::emulator()?;
+    let image = firmware::build(workspace)?;
+    let plugin = build_plugin(workspace)?;
+    let mut command = harness(workspace, "emulate", ports.seconds);
+    command.arg("--image").arg(image.elf).arg("--plugin").arg(plugin);
+    let addresses = [
+        ("--host", ports.host),
+        ("--rs485-a", ports.rs485_a),
+        ("--rs485-b", ports.rs485_b),
+        ("--can", ports.can),
+    ];
+    for (name, address) in addresses {
+        command.args([name, &address.to_string()]);
+    }
+    run::shown(&mut command)
+}
+
+/// Builds the plugin; the answer is its library.
+pub(crate) fn build_plugin(workspace: &Workspace) -> Result<PathBuf> {
+    run::shown(workspace.cargo().args(["build", "--release", "--package", PLUGIN_PACKAGE]))?;
+    let name = format!("{DLL_PREFIX}{}{DLL_SUFFIX}", PLUGIN_PACKAGE.replace('-', "_"));
+    let library = workspace.target.join("release").join(name);
+    ensure!(library.exists(), "{PLUGIN_PACKAGE} was built, but there is no {}", library.display());
+    Ok(library)
+}
+
+/// `cargo run` of a program of the harness, its own arguments still to come.
+pub(crate) fn harness(workspace: &Workspace, program: &str, seconds: Option<u64>) -> Command {
+    let mut command = workspace.cargo();
+    command.args(["run", "--release", "--package", HARNESS_PACKAGE, "--bin", program, "--"]);
+    if let Some(seconds) = seconds {
+        command.args(["--seconds", &seconds.to_string()]);
+    }
+    command
+}

@@ -1,0 +1,242 @@
+//! A toolchain that builds for the microcontroller. There are two, because the second one works where only Debian's
+//! packages can be had: rustup's, with a core library built by others, and Debian's, which builds the core library
+//! itself from its source package.
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+
+use super::apt;
+use crate::run;
+use crate::workspace::Workspace;
+
+/// What the STM32F405 is to the compiler: a Cortex-M4 with its floating-point unit.
+pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// Forces one of the two ways: `rustup` or `debian`.
+const CHOICE: &str = "JOINTBUS_TOOLCHAIN";
+
+/// A core library of some megabytes.
+const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
+
+/// Debian's Rust that is kept current for the browsers: compiler, cargo, library source, linter, linker.
+const DEBIAN_PACKAGES: [&str; 5] = ["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy", "lld"];
+const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
+/// Debian's compiler comes without the linker that rustup's brings along for bare-metal targets.
+const DEBIAN_LINKER: &str = "ld.lld";
+
+/// What `cargo run` and rustup set for us, and what would lead Debian's cargo back to the other toolchain.
+const FOREIGN: [&str; 9] = [
+    "CARGO",
+    "CARGO_BUILD_RUSTC",
+    "LD_LIBRARY_PATH",
+    "RUSTC",
+    "RUSTC_WORKSPACE_WRAPPER",
+    "RUSTC_WRAPPER",
+    "RUSTDOC",
+    "RUSTUP_TOOLCHAIN",
+    "RUST_RECURSION_COUNT",
+];
+
+/// The way to build for the microcontroller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Toolchain {
+    /// The toolchain that runs this program, with the target installed (by rustup, or by whatever else installs it).
+    Rustup,
+    /// Debian's own compiler, which builds the core library from source.
+    Debian,
+}
+
+impl Toolchain {
+    /// `cargo SUBCOMMAND` for the microcontroller, still without packages and features.
+    pub(crate) fn cargo(self, workspace: &Workspace, subcommand: &str) -> Command {
+        match self {
+            Self::Rustup => {
+                let mut command = workspace.cargo();
+                command.args([subcommand, "--target", TARGET]);
+                command
+            }
+            Self::Debian => {
+                let mut command = workspace.command(DEBIAN_CARGO);
+                for name in FOREIGN {
+                    command.env_remove(name);
+                }
+                // cargo finds the compiler through PATH, where rustup's may stand first.
+                command
+                    .env("PATH", path_with_front("/usr/bin"))
+                    // Building the core library is an unstable option; the compiler and the source are one release.
+                    .env("RUSTC_BOOTSTRAP", "1")
+                    .env(linker_variable(TARGET), DEBIAN_LINKER)
+                    .args([subcommand, "-Zbuild-std=core", "--target", TARGET]);
+                command
+            }
+        }
+    }
+}
+
+/// A toolchain that is ready, else one that can be made so. Whatever is there already goes before any installation.
+pub(crate) fn ensure(workspace: &Workspace) -> Result<Toolchain> {
+    let choice = env::var(CHOICE).ok();
+    let allowed = allowed(choice.as_deref())?;
+    let ready = |toolchain: &Toolchain| match toolchain {
+        Toolchain::Rustup => rustup_ready(workspace).is_ok(),
+        Toolchain::Debian => debian_ready(workspace).is_ok(),
+    };
+    if let Some(toolchain) = allowed.iter().copied().find(ready) {
+        return Ok(toolchain);
+    }
+    let mut reasons = String::new();
+    for toolchain in allowed {
+        let installed = match toolchain {
+            Toolchain::Rustup => install_rustup(workspace),
+            Toolchain::Debian => install_debian(workspace),
+        };
+        let Err(error) = installed else { return Ok(*toolchain) };
+        // In full here, with what the installer printed; its first line again in the end.
+        let reason = format!("{error:#}");
+        println!("setup: {reason}");
+        reasons.push_str("\n  tried: ");
+        reasons.push_str(reason.lines().next().unwrap_or_default());
+    }
+    bail!(
+        "missing: a Rust toolchain for {TARGET}\n  \
+         with rustup: rustup target add {TARGET}\n  \
+         Debian (bookworm with security updates, or newer): apt-get install {}{reasons}",
+        DEBIAN_PACKAGES.join(" "),
+    )
+}
+
+/// The ways that the variable leaves open, the preferred one first.
+fn allowed(choice: Option<&str>) -> Result<&'static [Toolchain]> {
+    match choice {
+        None | Some("") => Ok(&[Toolchain::Rustup, Toolchain::Debian]),
+        Some("rustup") => Ok(&[Toolchain::Rustup]),
+        Some("debian") => Ok(&[Toolchain::Debian]),
+        Some(other) => bail!("{CHOICE} is `{other}`; it can be `rustup` or `debian`"),
+    }
+}
+
+/// Whether the running toolchain has the core library of the target.
+fn rustup_ready(workspace: &Workspace) -> Result<()> {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let mut command = workspace.command(rustc);
+    let printed = run::output(command.args(["--print", "target-libdir", "--target", TARGET]))?;
+    let folder = Path::new(printed.trim());
+    let has_core = fs::read_dir(folder).is_ok_and(|entries| {
+        entries.flatten().any(|entry| is_core_library(&entry.file_name().to_string_lossy()))
+    });
+    if !has_core {
+        bail!("no core library in {}", folder.display());
+    }
+    Ok(())
+}
+
+fn install_rustup(workspace: &Workspace) -> Result<()> {
+    if run::find("rustup").is_none() {
+        bail!("rustup is not installed");
+    }
+    println!("setup: adding the target {TARGET} with rustup");
+    run::quiet(workspace.command("rustup").args(["target", "add", TARGET]), RUSTUP_LIMIT)
+        .context("rustup cannot add the target")?;
+    rustup_ready(workspace).context("rustup added the target to another toolchain than the running one")
+}
+
+/// Whether Debian's compiler is there, new enough, with the library's source, the linter and the linker.
+fn debian_ready(workspace: &Workspace) -> Result<()> {
+    for program in [DEBIAN_CARGO, DEBIAN_RUSTC, DEBIAN_CLIPPY] {
+        if !Path::new(program).exists() {
+            bail!("there is no {program}");
+        }
+    }
+    if run::find(DEBIAN_LINKER).is_none() {
+        bail!("there is no {DEBIAN_LINKER}");
+    }
+    let mut command = workspace.command(DEBIAN_RUSTC);
+    command.env_remove("LD_LIBRARY_PATH");
+    let printed = run::output(command.arg("--version"))?;
+    let found = version(&printed).with_context(|| format!("`{}` is no version", printed.trim()))?;
+    let wanted = version(env!("CARGO_PKG_RUST_VERSION")).context("the manifest has no version of Rust")?;
+    if found < wanted {
+        bail!("{DEBIAN_RUSTC} is {}.{}, too old for {}.{}", found.0, found.1, wanted.0, wanted.1);
+    }
+    let mut command = workspace.command(DEBIAN_RUSTC);
+    command.env_remove("LD_LIBRARY_PATH");
+    let sysroot = PathBuf::from(run::output(command.args(["--print", "sysroot"]))?.trim());
+    let source = sysroot.join("lib/rustlib/src/rust/library/core/Cargo.toml");
+    if !source.exists() {
+        bail!("there is no {}", source.display());
+    }
+    Ok(())
+}
+
+fn install_debian(workspace: &Workspace) -> Result<()> {
+    apt::install(&DEBIAN_PACKAGES).context("Debian's toolchain cannot be installed")?;
+    debian_ready(workspace).context("Debian's toolchain is installed but not usable")
+}
+
+/// `PATH` with a folder before all others.
+fn path_with_front(folder: &str) -> String {
+    match env::var("PATH") {
+        Ok(path) if !path.is_empty() => format!("{folder}:{path}"),
+        _ => folder.to_owned(),
+    }
+}
+
+/// The variable that tells cargo the linker of a target.
+fn linker_variable(target: &str) -> String {
+    format!("CARGO_TARGET_{}_LINKER", target.to_uppercase().replace('-', "_"))
+}
+
+/// Whether a file is the compiled core library, as in `libcore-0123456789abcdef.rlib`.
+fn is_core_library(file: &str) -> bool {
+    file.starts_with("libcore-") && file.ends_with(".rlib")
+}
+
+/// Major and minor of `1.88`, of `1.88.0`, or of `rustc 1.88.0 (hash date)`.
+fn version(text: &str) -> Option<(u32, u32)> {
+    let number =
+        text.split_whitespace().find(|word| word.starts_with(|first: char| first.is_ascii_digit()))?;
+    let mut parts = number.split('.');
+    Some((parts.next()?.parse().ok()?, parts.next()?.parse().ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_read_and_compared_as_numbers() {
+        assert_eq!(
+            version("rustc 1.96.0 (abcdef012 2026-01-01) (built from a source tarball)"),
+            Some((1, 96))
+        );
+        assert_eq!(version("1.88"), Some((1, 88)));
+        assert_eq!(version("rustc unknown"), None);
+        assert!(version("1.100.0") > version("1.96.0"));
+    }
+
+    #[test]
+    fn the_choice_is_one_of_two_or_open() {
+        assert_eq!(allowed(None).unwrap(), [Toolchain::Rustup, Toolchain::Debian]);
+        assert_eq!(allowed(Some("debian")).unwrap(), [Toolchain::Debian]);
+        assert!(allowed(Some("gcc")).is_err());
+    }
+
+    #[test]
+    fn cargo_is_told_the_linker() {
+        assert_eq!(linker_variable(TARGET), "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER");
+    }
+
+    #[test]
+    fn only_the_core_library_counts() {
+        assert!(is_core_library("libcore-0123456789abcdef.rlib"));
+        assert!(!is_core_library("libcompiler_builtins-0123456789abcdef.rlib"));
+        assert!(!is_core_library("libcore-0123456789abcdef.rmeta"));
+    }
+}
