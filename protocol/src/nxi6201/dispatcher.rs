@@ -1,22 +1,22 @@
+use core::convert::Infallible;
+
 use super::{BROADCAST, CHANNELS, Channel, External, OutputRange, Register, Settings};
 use crate::modbus::server::{Audience, Silence, serve_rtu};
 use crate::modbus::{
     ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
 };
 
-/// The outputs could not be driven or the settings not be stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct CommitError;
-
 /// What a card's firmware puts behind its dispatcher.
 pub trait Hardware {
+    /// The outputs could not be driven or the settings not be stored.
+    type Error;
+
     /// Makes new settings true: drives the outputs and stores what is to survive power-off. Called once a request
     /// that writes, with all of it.
     ///
     /// # Errors
-    /// [`CommitError`], and the former settings stay.
-    fn commit(&mut self, settings: &Settings) -> Result<(), CommitError>;
+    /// [`Hardware::Error`], and the former settings stay.
+    fn commit(&mut self, settings: &Settings) -> Result<(), Self::Error>;
 }
 
 /// [`Hardware`] in memory, for tests and simulators.
@@ -27,7 +27,9 @@ pub struct RamHardware {
 }
 
 impl Hardware for RamHardware {
-    fn commit(&mut self, settings: &Settings) -> Result<(), CommitError> {
+    type Error = Infallible;
+
+    fn commit(&mut self, settings: &Settings) -> Result<(), Infallible> {
         self.committed = Some(*settings);
         Ok(())
     }
@@ -46,8 +48,8 @@ impl<H: Hardware> Card<H> {
     /// Powers the card up with the settings that it stored.
     ///
     /// # Errors
-    /// [`CommitError`] where the outputs can't be driven.
-    pub fn power_up(mut hardware: H, stored: &Settings) -> Result<Self, CommitError> {
+    /// [`Hardware::Error`] where the outputs can't be driven.
+    pub fn power_up(mut hardware: H, stored: &Settings) -> Result<Self, H::Error> {
         let settings = stored.after_power_up();
         hardware.commit(&settings)?;
         Ok(Self { hardware, settings, inputs: [false; CHANNELS] })
@@ -67,8 +69,8 @@ impl<H: Hardware> Card<H> {
     /// Tells the card the state of a channel's external input (5.1.7); channels past the last are ignored.
     ///
     /// # Errors
-    /// [`CommitError`] where the output can't be driven; the register keeps its value.
-    pub fn external_input(&mut self, channel: usize, active: bool) -> Result<(), CommitError> {
+    /// [`Hardware::Error`] where the output can't be driven; the register keeps its value.
+    pub fn external_input(&mut self, channel: usize, active: bool) -> Result<(), H::Error> {
         let mut settings = self.settings;
         let (Some(registers), Some(input)) =
             (settings.channels.get_mut(channel), self.inputs.get_mut(channel))
@@ -88,8 +90,8 @@ impl<H: Hardware> Card<H> {
     /// Switches every output off; set values stay.
     ///
     /// # Errors
-    /// [`CommitError`] where the outputs can't be driven; the registers keep their values.
-    pub fn outputs_off(&mut self) -> Result<(), CommitError> {
+    /// [`Hardware::Error`] where the outputs can't be driven; the registers keep their values.
+    pub fn outputs_off(&mut self) -> Result<(), H::Error> {
         let mut settings = self.settings;
         settings.channels.iter_mut().for_each(|channel| channel.output = false);
         self.commit(settings)
@@ -159,10 +161,10 @@ impl<H: Hardware> Card<H> {
                 .ok_or(ExceptionCode::IllegalDataValue)?;
         }
         let settings = change.judge().ok_or(ExceptionCode::IllegalDataValue)?;
-        self.commit(settings).map_err(|CommitError| ExceptionCode::ServerDeviceFailure)
+        self.commit(settings).map_err(|_| ExceptionCode::ServerDeviceFailure)
     }
 
-    fn commit(&mut self, settings: Settings) -> Result<(), CommitError> {
+    fn commit(&mut self, settings: Settings) -> Result<(), H::Error> {
         self.hardware.commit(&settings)?;
         self.settings = settings;
         Ok(())
@@ -452,8 +454,9 @@ mod tests {
         #[derive(Default)]
         struct Broken(bool);
         impl Hardware for Broken {
-            fn commit(&mut self, _: &Settings) -> Result<(), CommitError> {
-                if self.0 { Err(CommitError) } else { Ok(()) }
+            type Error = ();
+            fn commit(&mut self, _: &Settings) -> Result<(), ()> {
+                if self.0 { Err(()) } else { Ok(()) }
             }
         }
         let mut card = Card::power_up(Broken::default(), &Settings::default()).unwrap();

@@ -4,7 +4,7 @@
 mod dispatcher;
 pub mod register;
 
-pub use dispatcher::{Card, CommitError, Hardware, RamHardware};
+pub use dispatcher::{Card, Hardware, RamHardware};
 pub use register::{Channel, External, OutputRange, Register, Settings};
 
 /// Output channels of a card.

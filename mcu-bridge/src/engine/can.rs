@@ -1,0 +1,375 @@
+//! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
+
+use super::counters::count;
+use super::host::FRAME_MAX;
+use super::transaction::{Expected, OwedReplies, Queue, QueueFull, Request, Surroundings};
+use heapless::Vec;
+use jointbus_protocol::can::Frame;
+use jointbus_protocol::modbus::ExceptionCode;
+use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
+use jointbus_protocol::nst::{self, FunctionCode, Reply, serial::ExpectedReply};
+use jointbus_protocol::time::{Duration, Instant};
+use jointbus_protocol::wire::Writer;
+
+/// Longest pause between the frames of a transfer.
+const FRAME_PAUSE: Duration = Duration::from_millis(10);
+
+/// Sources whose transfers are joined at once: the device that was asked, and one that is late.
+const CONTEXTS: usize = 2;
+
+/// Frames of a transfer under way to the controller, or its reply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Waits for the controller to be free of former frames, and for room for the reply.
+    Ready,
+    /// So many frames were handed to the controller; all have to be acknowledged by then.
+    Sending { handed: usize, limit: Instant },
+    /// Not acknowledged in time: the mailboxes are being aborted.
+    Aborting,
+    /// Sent; the reply has time until then.
+    Waiting { sent: Instant, deadline: Instant },
+}
+
+#[derive(Debug)]
+struct Flight {
+    request: Request,
+    phase: Phase,
+    retries_left: u8,
+    /// Attempts at the present part that timed out.
+    unanswered: u8,
+    /// Bytes of the request that former parts moved.
+    moved: u8,
+    part: Part,
+    /// Data of the parts read so far.
+    joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
+}
+
+/// One transfer of a request.
+#[derive(Debug)]
+struct Part {
+    body: Vec<u8, { can::TRANSFER_MAX }>,
+    expected: ExpectedReply,
+    length: u8,
+}
+
+/// The CAN bus.
+#[derive(Debug)]
+pub(super) struct CanBus {
+    queue: Queue,
+    flight: Option<Flight>,
+    owed: OwedReplies,
+    reassembler: Reassembler<CONTEXTS>,
+    node: u8,
+    /// Frames that the controller has and that nobody acknowledged so far.
+    outstanding: u8,
+    /// Read replies with function code 0x10, as the manual prints them (4.3.2.10).
+    quirks: u32,
+}
+
+impl CanBus {
+    pub(super) const fn new(node: u8) -> Self {
+        Self {
+            queue: Queue::new(),
+            flight: None,
+            owed: OwedReplies::new(),
+            reassembler: Reassembler::new(node, FRAME_PAUSE),
+            node,
+            outstanding: 0,
+            quirks: 0,
+        }
+    }
+
+    pub(super) const fn quirks(&self) -> u32 {
+        self.quirks
+    }
+
+    /// Takes a request.
+    pub(super) fn push(
+        &mut self,
+        request: Request,
+        now: Instant,
+        around: &mut Surroundings<'_>,
+    ) -> Result<(), QueueFull> {
+        let result = self.queue.push(request);
+        self.take_next(now, around);
+        result
+    }
+
+    /// The next frame for the controller; it counts as handed over.
+    pub(super) fn next_frame(&mut self) -> Option<Frame> {
+        let flight = self.flight.as_mut()?;
+        let Phase::Sending { handed, limit } = flight.phase else { return None };
+        let destination = flight.part.expected.address();
+        let frame = can::segment(self.node, destination, &flight.part.body).ok()?.nth(handed)?;
+        flight.phase = Phase::Sending { handed: handed.saturating_add(1), limit };
+        self.outstanding = self.outstanding.saturating_add(1);
+        Some(frame)
+    }
+
+    /// A frame was acknowledged.
+    pub(super) fn frame_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        count(&mut around.counters.sent);
+        self.outstanding = self.outstanding.saturating_sub(1);
+        self.check_sent(now, around);
+    }
+
+    /// Whether the frames that the controller still has are to be aborted.
+    pub(super) fn wants_abort(&self) -> bool {
+        self.outstanding > 0 && self.flight.as_ref().is_none_or(|flight| flight.phase == Phase::Aborting)
+    }
+
+    /// The controller has no frame any more.
+    pub(super) fn aborted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        self.outstanding = 0;
+        if self.flight.as_ref().is_some_and(|flight| flight.phase == Phase::Aborting) {
+            self.not_sent(around);
+        }
+        self.take_next(now, around);
+    }
+
+    /// Takes a frame that ended at `now`.
+    pub(super) fn receive(&mut self, frame: &Frame, now: Instant, around: &mut Surroundings<'_>) {
+        count(&mut around.counters.received);
+        let Report { outcome, irregularity } = self.reassembler.push(frame, now);
+        match irregularity {
+            None => {}
+            Some(Irregularity::NotNst | Irregularity::OtherDestination) => {
+                count(&mut around.counters.foreign_or_late);
+            }
+            Some(Irregularity::NoContext) => count(&mut around.counters.overruns),
+            Some(_) => count(&mut around.counters.dropped_bursts),
+        }
+        let Some(Outcome::Complete { source, body }) = outcome else { return };
+        let Some((flight, expected, quirk)) = self.flight.as_mut().and_then(|flight| {
+            let expected = flight.part.expected;
+            let quirk = expected.accepts_quirk(body);
+            let fits = source == expected.address() && (quirk || expected.accepts_body(body));
+            // a device answers only what it has received whole, even if its acknowledgement is told later
+            let asked = match flight.phase {
+                Phase::Waiting { .. } => true,
+                Phase::Sending { handed, .. } => handed == frames(&flight.part.body),
+                Phase::Ready | Phase::Aborting => false,
+            };
+            (fits && asked).then_some((flight, expected, quirk))
+        }) else {
+            let late = self.owed.iter().position(|owed| match owed {
+                Expected::Nst(owed) => {
+                    source == owed.address() && (owed.accepts_body(body) || owed.accepts_quirk(body))
+                }
+                Expected::Modbus(_) => false,
+            });
+            count(&mut around.counters.foreign_or_late);
+            if let Some(index) = late {
+                self.owed.settle(index);
+            }
+            return;
+        };
+        if quirk {
+            count(&mut self.quirks);
+        }
+        let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
+        let sent = match flight.phase {
+            Phase::Waiting { sent, .. } => sent,
+            Phase::Ready | Phase::Sending { .. } | Phase::Aborting => now,
+        };
+        let _ = flight.joined.extend_from_slice(data);
+        flight.moved = flight.moved.saturating_add(flight.part.length);
+        let hold_off = flight.request.hold_off;
+        self.owed.add(Expected::Nst(expected), core::mem::take(&mut flight.unanswered), sent.after(hold_off));
+        match following_part(&flight.request, flight.moved) {
+            Some(part) => {
+                flight.part = part;
+                flight.retries_left = flight.request.retries;
+                flight.phase = Phase::Ready;
+            }
+            None => {
+                answer(flight, now.since(sent), around);
+                self.finish(around);
+            }
+        }
+        self.take_next(now, around);
+    }
+
+    /// Does what is due.
+    pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        self.owed.expire(now);
+        if let Some(flight) = &mut self.flight {
+            match flight.phase {
+                Phase::Sending { limit, .. } if now >= limit => {
+                    flight.phase = Phase::Aborting;
+                    if self.outstanding == 0 {
+                        self.not_sent(around);
+                    }
+                }
+                Phase::Waiting { deadline, .. } if now >= deadline => self.time_out(now, around),
+                Phase::Ready if now >= flight.request.expires => self.not_sent(around),
+                _ => {}
+            }
+        }
+        self.queue.expire(now, around.counters, &mut around.host);
+        self.take_next(now, around);
+    }
+
+    /// When [`CanBus::poll`] has something to do next.
+    pub(super) fn deadline(&self) -> Option<Instant> {
+        let flight = self.flight.as_ref().and_then(|flight| match flight.phase {
+            Phase::Ready => Some(flight.request.expires),
+            Phase::Sending { limit, .. } => Some(limit),
+            Phase::Waiting { deadline, .. } => Some(deadline),
+            Phase::Aborting => None,
+        });
+        [flight, self.queue.deadline(), self.owed.deadline()].into_iter().flatten().min()
+    }
+
+    /// Drops everything that waits or is in flight; frames that the controller has are aborted.
+    pub(super) fn reset(&mut self, node: u8, around: &mut Surroundings<'_>) {
+        if let Some(flight) = self.flight.take() {
+            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            around.host.output.release();
+        }
+        self.queue.clear(&mut around.host);
+        self.owed = OwedReplies::new();
+        self.node = node;
+        self.reassembler.set_node(node);
+    }
+
+    fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        if self.flight.is_none() && !self.owed.is_full() && around.host.output.has_room() {
+            self.flight = self.queue.next(&self.owed, now).and_then(|request| {
+                let part = part(&request, 0)?;
+                Some(Flight {
+                    phase: Phase::Ready,
+                    retries_left: request.retries,
+                    unanswered: 0,
+                    moved: 0,
+                    part,
+                    joined: Vec::new(),
+                    request,
+                })
+            });
+            if self.flight.is_some() {
+                around.host.output.reserve();
+            }
+        }
+        let Some(flight) = &mut self.flight else { return };
+        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.owed.is_full() {
+            // of a split transfer the first part's first attempt has to be sent within the time to live
+            let limit = match (flight.moved, flight.unanswered) {
+                (0, 0) => flight.request.expires,
+                _ => now.after(flight.request.timeout),
+            };
+            flight.phase = Phase::Sending { handed: 0, limit };
+        }
+    }
+
+    fn check_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        let Some(flight) = &mut self.flight else { return };
+        let Phase::Sending { handed, .. } = flight.phase else { return };
+        if self.outstanding > 0 || handed < frames(&flight.part.body) {
+            return;
+        }
+        if flight.request.expected.is_none() {
+            flight.moved = flight.moved.saturating_add(flight.part.length);
+            match following_part(&flight.request, flight.moved) {
+                Some(part) => {
+                    flight.part = part;
+                    flight.phase = Phase::Ready;
+                }
+                None => self.finish(around),
+            }
+            self.take_next(now, around);
+            return;
+        }
+        let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
+        let deadline = now.after(flight.request.timeout).after(on_wire);
+        flight.phase = Phase::Waiting { sent: now, deadline };
+    }
+
+    /// The transfer was not sent in time; of the first part nothing has been carried out.
+    fn not_sent(&mut self, around: &mut Surroundings<'_>) {
+        let Some(flight) = &self.flight else { return };
+        count(if (flight.moved, flight.unanswered) == (0, 0) {
+            &mut around.counters.expired
+        } else {
+            &mut around.counters.timeouts
+        });
+        flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+        self.finish(around);
+    }
+
+    fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        count(&mut around.counters.timeouts);
+        let Some(flight) = &mut self.flight else { return };
+        let Phase::Waiting { sent, .. } = flight.phase else { return };
+        flight.unanswered = flight.unanswered.saturating_add(1);
+        if flight.retries_left > 0 && now < flight.request.expires {
+            flight.retries_left = flight.retries_left.saturating_sub(1);
+            flight.phase = Phase::Ready;
+            count(&mut around.counters.retries);
+        } else {
+            let until = sent.after(flight.request.hold_off);
+            self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
+            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            self.finish(around);
+        }
+    }
+
+    fn finish(&mut self, around: &mut Surroundings<'_>) {
+        if self.flight.take().is_some() {
+            around.host.output.release();
+        }
+    }
+}
+
+/// Frames that a body takes.
+const fn frames(body: &[u8]) -> usize {
+    body.len().div_ceil(8)
+}
+
+/// The transfer that follows those that moved so many bytes; `None` when all has been moved.
+fn following_part(request: &Request, moved: u8) -> Option<Part> {
+    let whole = nst::Request::decode(&request.content).ok()?;
+    if moved >= whole.length() { None } else { part(request, moved) }
+}
+
+/// The transfer that starts behind so many bytes of a request.
+fn part(request: &Request, moved: u8) -> Option<Part> {
+    let whole = nst::Request::decode(&request.content).ok()?;
+    let register = whole.register().wrapping_add(moved.into());
+    let left = whole.length().checked_sub(moved)?;
+    let part = match whole {
+        nst::Request::Write { data, .. } => {
+            let rest = data.get(usize::from(moved)..)?;
+            nst::Request::Write { register, data: rest.get(..can::WRITE_MAX).unwrap_or(rest) }
+        }
+        nst::Request::Command { function, .. } if function.is_read() => {
+            let most = u8::try_from(can::READ_MAX).unwrap_or(u8::MAX);
+            nst::Request::Command { function, register, length: left.min(most) }
+        }
+        // other commands move nothing, whatever their length says
+        command @ nst::Request::Command { .. } => command,
+    };
+    let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
+    let mut body = Vec::new();
+    body.resize(can::TRANSFER_MAX, 0).ok()?;
+    let mut writer = Writer::new(&mut body);
+    part.encode(&mut writer).ok()?;
+    let length = writer.finish().len();
+    body.truncate(length);
+    Some(Part { body, expected: ExpectedReply::new(remote, &part), length: part.length() })
+}
+
+/// Joins the parts' replies into the reply to the host.
+fn answer(flight: &Flight, took: Duration, around: &mut Surroundings<'_>) {
+    let function = FunctionCode::from_code(flight.request.function);
+    let reply = if function.is_read() {
+        Reply::Data { function, data: &flight.joined }
+    } else {
+        Reply::Acknowledge { function, length: flight.moved }
+    };
+    let mut buffer = [0; FRAME_MAX];
+    let mut writer = Writer::new(&mut buffer);
+    if reply.encode(&mut writer).is_ok() {
+        around.answer(&flight.request, writer.finish(), took);
+    }
+}

@@ -1,0 +1,542 @@
+//! The bridge itself: bytes, frames and the time go in; bytes, frames and the next deadline come out. It reads no
+//! clock and touches no port, and every call does bounded work.
+
+mod can;
+pub mod config;
+mod counters;
+mod host;
+mod own;
+mod serial;
+mod transaction;
+
+use can::CanBus;
+use config::{Bus, Limits, Network, Port, PortConfig, Protocol, ROUTES, Route};
+use counters::count;
+use heapless::Vec;
+use host::{FRAME_MAX, HostDeframer, HostFormat, Output};
+use jointbus_protocol::can::Frame;
+use jointbus_protocol::deframe::{Event, Fault, FrameLength};
+use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
+use jointbus_protocol::ndam9010::{self, Layout, RamModule};
+use jointbus_protocol::time::{Duration, Instant};
+use jointbus_protocol::wire::Writer;
+use jointbus_protocol::{checksum, nst, nxi6201};
+use serial::SerialBus;
+use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
+
+pub use counters::Counters;
+pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
+
+/// Channels of the board as an NDAM module.
+pub const LOCAL_IO: Layout =
+    Layout { digital_inputs: 8, digital_outputs: 8, analog_inputs: 4, analog_outputs: 0 };
+
+/// The bridge.
+#[derive(Debug)]
+pub struct Engine {
+    identity: Identity,
+    health: Health,
+    live: Network,
+    staged: Network,
+    confirmed: Network,
+    confirm_until: Option<Instant>,
+    limits: Limits,
+    command: Option<Command>,
+    /// Ports whose settings changed and whose owner has not been told.
+    changed_ports: [bool; 4],
+    host: HostDeframer,
+    output: Output,
+    counters: [Counters; 4],
+    reply_times: [ReplyTime; ROUTES],
+    rs485_a: SerialBus,
+    rs485_b: SerialBus,
+    can: CanBus,
+    outputs: nxi6201::Card<nxi6201::RamHardware>,
+    io: RamModule,
+    /// When the last valid request came, until host silence has switched the outputs off.
+    last_request: Option<Instant>,
+}
+
+impl Engine {
+    /// A bridge that starts at `now`.
+    #[must_use]
+    pub fn new(network: Network, limits: Limits, identity: Identity, now: Instant) -> Self {
+        let Ok(outputs) =
+            nxi6201::Card::power_up(nxi6201::RamHardware::default(), &nxi6201::Settings::default());
+        Self {
+            identity,
+            health: Health::default(),
+            live: network,
+            staged: network,
+            confirmed: network,
+            confirm_until: None,
+            limits,
+            command: None,
+            changed_ports: [false; 4],
+            host: HostDeframer::new(limits.burst_silence()),
+            output: Output::new(),
+            counters: [Counters::default(); 4],
+            reply_times: [ReplyTime::default(); ROUTES],
+            rs485_a: SerialBus::new(now),
+            rs485_b: SerialBus::new(now),
+            can: CanBus::new(network.port(Port::Can).node),
+            outputs,
+            io: RamModule::new(LOCAL_IO),
+            last_request: Some(now),
+        }
+    }
+
+    /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.
+    pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
+        match port {
+            Port::Host => self.receive_host(bytes, now),
+            Port::Rs485A => self.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
+            Port::Rs485B => self.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
+            Port::Can => {}
+        }
+    }
+
+    /// A port lost bytes or frames because nobody fetched them in time.
+    pub fn overrun(&mut self, port: Port) {
+        if let Some(counters) = self.counters.get_mut(port.index()) {
+            count(&mut counters.overruns);
+        }
+    }
+
+    /// What a serial port is to send next. The CAN port has none.
+    #[must_use]
+    pub fn output(&self, port: Port) -> &[u8] {
+        match port {
+            Port::Host => self.output.pending(),
+            Port::Rs485A => self.rs485_a.pending(),
+            Port::Rs485B => self.rs485_b.pending(),
+            Port::Can => &[],
+        }
+    }
+
+    /// A serial port took so many bytes of [`Engine::output`].
+    pub fn consume(&mut self, port: Port, taken: usize) {
+        match port {
+            Port::Host => self.output.consume(taken),
+            Port::Rs485A => self.rs485_a.consume(taken),
+            Port::Rs485B => self.rs485_b.consume(taken),
+            Port::Can => {}
+        }
+    }
+
+    /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
+    pub fn transmitted(&mut self, port: Port, now: Instant) {
+        self.on_serial(port, |bus, around| bus.transmitted(now, around));
+    }
+
+    /// Takes a frame that the CAN port received and that ended at `now`.
+    pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
+        let (can, mut around) = self.can_parts();
+        can.receive(frame, now, &mut around);
+    }
+
+    /// The next frame for the CAN port, which takes it.
+    pub fn next_frame(&mut self) -> Option<Frame> {
+        self.can.next_frame()
+    }
+
+    /// A frame that the CAN port took was acknowledged on the bus.
+    pub fn frame_sent(&mut self, now: Instant) {
+        let (can, mut around) = self.can_parts();
+        can.frame_sent(now, &mut around);
+    }
+
+    /// Whether the CAN port is to give up the frames that it has not sent; it answers with [`Engine::frames_aborted`].
+    #[must_use]
+    pub fn wants_abort(&self) -> bool {
+        self.can.wants_abort()
+    }
+
+    /// The CAN port has no frame to send any more.
+    pub fn frames_aborted(&mut self, now: Instant) {
+        let (can, mut around) = self.can_parts();
+        can.aborted(now, &mut around);
+    }
+
+    /// An attempt of the CAN port to send a frame failed; the controller tries again by itself.
+    pub const fn transmit_error(&mut self) {
+        let [.., can] = &mut self.counters;
+        count(&mut can.transmit_errors);
+    }
+
+    /// Whether the CAN controller is bus-off now.
+    pub const fn set_bus_off(&mut self, bus_off: bool) {
+        if bus_off && !self.health.bus_off {
+            let [.., can] = &mut self.counters;
+            count(&mut can.bus_off);
+        }
+        self.health.bus_off = bus_off;
+    }
+
+    /// What the board found out about itself at start-up; whether it is bus-off is told by [`Engine::set_bus_off`].
+    pub const fn set_health(&mut self, health: Health) {
+        self.health = Health { bus_off: self.health.bus_off, ..health };
+    }
+
+    /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs.
+    pub fn set_inputs(&mut self, digital: u16, analog: [u16; LOCAL_IO.analog_inputs as usize]) {
+        self.io.inputs = digital;
+        self.io.analog_inputs.iter_mut().zip(analog).for_each(|(place, value)| *place = value);
+    }
+
+    /// What the board's analog outputs are to be.
+    #[must_use]
+    pub const fn analog_outputs(&self) -> &nxi6201::Settings {
+        self.outputs.settings()
+    }
+
+    /// What the board's digital outputs are to be, DO0 in bit 0.
+    #[must_use]
+    pub const fn digital_outputs(&self) -> u16 {
+        self.io.outputs
+    }
+
+    /// A command for the firmware, once; to be carried out when [`Engine::output`] of the host has been sent.
+    pub const fn take_command(&mut self) -> Option<Command> {
+        self.command.take()
+    }
+
+    /// The new settings of a port, once after they have changed.
+    pub fn take_port_change(&mut self, port: Port) -> Option<PortConfig> {
+        let changed = self.changed_ports.get_mut(port.index())?;
+        core::mem::take(changed).then(|| *self.live.port(port))
+    }
+
+    /// Settings of a port in use.
+    #[must_use]
+    pub const fn port(&self, port: Port) -> &PortConfig {
+        self.live.port(port)
+    }
+
+    /// Counters of a port.
+    #[must_use]
+    pub fn counters(&self, port: Port) -> Counters {
+        self.counters.get(port.index()).copied().unwrap_or_default()
+    }
+
+    /// Replies to reads that came over CAN with function code 0x10, as the NST manual prints them (4.3.2.10).
+    #[must_use]
+    pub const fn quirks(&self) -> u32 {
+        self.can.quirks()
+    }
+
+    /// Does what is due at `now`.
+    pub fn poll(&mut self, now: Instant) {
+        self.roll_back(now);
+        self.host_silence(now);
+        let event = self.host.poll(&HostFormat(&self.live), now).map(apart);
+        if let Some(event) = event {
+            self.take(event, now);
+        }
+        for port in [Port::Rs485A, Port::Rs485B] {
+            self.on_serial(port, |bus, around| bus.poll(now, around));
+        }
+        let (can, mut around) = self.can_parts();
+        can.poll(now, &mut around);
+    }
+
+    /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        let serial = |bus: &SerialBus, port: Port| {
+            let port = self.live.port(port);
+            bus.deadline(port.pause(), port.gap())
+        };
+        let silence = self.last_request.filter(|_| self.limits.host_silence_ms > 0);
+        [
+            self.confirm_until,
+            silence.map(|last| last.after(self.host_silence_limit())),
+            self.host.deadline(),
+            serial(&self.rs485_a, Port::Rs485A),
+            serial(&self.rs485_b, Port::Rs485B),
+            self.can.deadline(),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+    }
+
+    fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
+        while let Some(event) = self.host.feed(&HostFormat(&self.live), &mut bytes, now).map(apart) {
+            self.take(event, now);
+        }
+    }
+
+    fn take(&mut self, event: Result<Vec<u8, FRAME_MAX>, (u8, Fault)>, now: Instant) {
+        let [counters, ..] = &mut self.counters;
+        match event {
+            Ok(frame) => {
+                count(&mut counters.received);
+                self.last_request = Some(now);
+                self.request(&frame, now);
+            }
+            Err((unit, fault)) => {
+                let known =
+                    matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.live.route(unit).is_some();
+                match (known, fault) {
+                    (false, _) => count(&mut counters.refused),
+                    (true, Fault::Checksum) => {
+                        count(&mut counters.checksum_errors);
+                        count(&mut counters.dropped_bursts);
+                    }
+                    (true, Fault::Impossible | Fault::Incomplete) => count(&mut counters.dropped_bursts),
+                }
+            }
+        }
+    }
+
+    /// A valid frame from the host.
+    fn request(&mut self, frame: &[u8], now: Instant) {
+        let Some((&unit, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else { return };
+        match unit {
+            modbus::BROADCAST => {
+                self.broadcast_modbus(frame, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
+            }
+            nst::BROADCAST => {
+                let whole = FrameLength::Exactly(frame.len());
+                if nst::serial::request_length(frame) == whole {
+                    self.broadcast_nst(frame, body, now);
+                }
+                if rtu::request_length(frame) == whole {
+                    self.broadcast_modbus(frame, body, &[Bus::LocalOutputs], now);
+                }
+            }
+            _ => match self.live.route(unit) {
+                Some((number, route)) if route.protocol.is_nst() => {
+                    self.request_nst(unit, number, *route, frame, body, now);
+                }
+                Some((number, route)) => self.request_modbus(unit, number, *route, frame, body, now),
+                None => {}
+            },
+        }
+    }
+
+    fn request_nst(&mut self, unit: u8, number: u8, route: Route, frame: &[u8], body: &[u8], now: Instant) {
+        let Ok(asked) = nst::Request::decode(body) else { return };
+        let is_write = !matches!(asked.function(), nst::FunctionCode::Connect) && !asked.function().is_read();
+        if route.refuse_writes && is_write {
+            return self.refuse(unit, None);
+        }
+        let remote = route.remote_of(unit);
+        let expected = Expected::Nst(nst::serial::ExpectedReply::new(remote, &asked));
+        let mut buffer = [0; FRAME_MAX];
+        let content = match route.bus {
+            Bus::Can => body,
+            _ => readdress(frame, remote, &mut buffer),
+        };
+        let function = asked.function().code();
+        let request = Request::new(unit, function, Some(expected), (Some(number), &route), content, now);
+        if let Some(request) = request
+            && self.send(route.bus, request, now).is_err()
+        {
+            self.refuse(unit, None);
+        }
+    }
+
+    fn request_modbus(
+        &mut self,
+        unit: u8,
+        number: u8,
+        route: Route,
+        frame: &[u8],
+        body: &[u8],
+        now: Instant,
+    ) {
+        let Ok(asked) = modbus::Request::decode(body) else { return };
+        let function = asked.function();
+        if route.refuse_writes && !function.is_read() {
+            return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
+        }
+        if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
+            return self.serve_local(unit, route.bus, &asked, now);
+        }
+        let remote = route.remote_of(unit);
+        let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
+        let mut buffer = [0; FRAME_MAX];
+        let content = readdress(frame, remote, &mut buffer);
+        let request =
+            Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
+        if let Some(request) = request
+            && self.send(route.bus, request, now).is_err()
+        {
+            self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+        }
+    }
+
+    /// Answers for one of the board's own units.
+    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, now: Instant) {
+        if !self.output.has_room() {
+            return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
+        }
+        let mut data = [0; modbus::PDU_MAX];
+        let response = match bus {
+            Bus::LocalOutputs => self.outputs.dispatch(asked, &mut data),
+            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut data),
+            _ => self.serve_own(asked, &mut data, now),
+        };
+        let [counters, ..] = &mut self.counters;
+        self.output.respond(counters, unit, &response);
+    }
+
+    /// A broadcast of Modbus: writes only, never answered.
+    fn broadcast_modbus(&mut self, frame: &[u8], body: &[u8], to: &[Bus], now: Instant) {
+        let Ok(asked) = modbus::Request::decode(body) else { return };
+        if asked.function().is_read() {
+            return self.refuse(modbus::BROADCAST, None);
+        }
+        let routes = self.live.routes;
+        for bus in to {
+            let row = routes
+                .iter()
+                .find(|row| row.is_used() && row.bus == *bus && row.protocol == Protocol::ModbusRtu);
+            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
+            let mut data = [0; modbus::PDU_MAX];
+            match bus {
+                Bus::LocalIo => {
+                    ndam9010::dispatch(&mut self.io, &asked, &mut data);
+                }
+                Bus::LocalOutputs => {
+                    self.outputs.dispatch(&asked, &mut data);
+                }
+                _ => self.send_broadcast(*bus, asked.function().code(), row, frame, now),
+            }
+        }
+    }
+
+    /// A broadcast of NST: writes and commands only, never answered.
+    fn broadcast_nst(&mut self, frame: &[u8], body: &[u8], now: Instant) {
+        let Ok(asked) = nst::Request::decode(body) else { return };
+        if asked.function().is_read() {
+            return self.refuse(nst::BROADCAST, None);
+        }
+        let routes = self.live.routes;
+        for bus in [Bus::Rs485A, Bus::Rs485B, Bus::Can] {
+            let row = routes.iter().find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst());
+            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
+            let content = if bus == Bus::Can { body } else { frame };
+            self.send_broadcast(bus, asked.function().code(), row, content, now);
+        }
+    }
+
+    fn send_broadcast(&mut self, bus: Bus, function: u8, row: &Route, content: &[u8], now: Instant) {
+        let request = Request::new(nst::BROADCAST, function, None, (None, row), content, now);
+        if let Some(request) = request
+            && self.send(bus, request, now).is_err()
+        {
+            self.refuse(nst::BROADCAST, None);
+        }
+    }
+
+    /// Hands a request to its bus; the board's own units have no queue.
+    fn send(&mut self, bus: Bus, request: Request, now: Instant) -> Result<(), QueueFull> {
+        match bus {
+            Bus::Rs485A | Bus::Rs485B => {
+                let port = if bus == Bus::Rs485A { Port::Rs485A } else { Port::Rs485B };
+                let Some((bus, mut around)) = self.serial_parts(port) else { return Err(QueueFull) };
+                bus.push(request, now, &mut around)
+            }
+            Bus::Can => {
+                let (can, mut around) = self.can_parts();
+                can.push(request, now, &mut around)
+            }
+            Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Err(QueueFull),
+        }
+    }
+
+    /// Counts a refusal and tells the host: with a Modbus exception, or with silence.
+    fn refuse(&mut self, unit: u8, exception: Option<(u8, ExceptionCode)>) {
+        let [counters, ..] = &mut self.counters;
+        count(&mut counters.refused);
+        if let Some((function, exception)) = exception {
+            self.output.refuse(counters, unit, function, exception);
+        }
+    }
+
+    /// Makes ports and routes live, dropping what waits or is in flight where something changed.
+    fn go_live(&mut self, network: Network, now: Instant) {
+        let former = core::mem::replace(&mut self.live, network);
+        for (port, bus) in [(Port::Rs485A, Bus::Rs485A), (Port::Rs485B, Bus::Rs485B), (Port::Can, Bus::Can)] {
+            let rows = former.routes.iter().zip(&network.routes);
+            let moved = rows.into_iter().any(|(old, new)| old != new && (old.bus == bus || new.bus == bus));
+            if !moved && former.port(port) == network.port(port) {
+                continue;
+            }
+            match port {
+                Port::Can => {
+                    let node = network.port(Port::Can).node;
+                    let (can, mut around) = self.can_parts();
+                    can.reset(node, &mut around);
+                }
+                _ => self.on_serial(port, |bus, around| bus.reset(now, around)),
+            }
+        }
+        for port in Port::ALL {
+            if let Some(changed) = self.changed_ports.get_mut(port.index()) {
+                *changed |= former.port(port) != network.port(port);
+            }
+        }
+    }
+
+    const fn host_silence_limit(&self) -> Duration {
+        Duration::from_millis(self.limits.host_silence_ms as u64)
+    }
+
+    /// Switches the local outputs off when the host was silent for too long; only the host switches on again.
+    fn host_silence(&mut self, now: Instant) {
+        let limit = self.host_silence_limit();
+        if limit > Duration::ZERO && self.last_request.is_some_and(|last| now.since(last) >= limit) {
+            self.last_request = None;
+            let Ok(()) = self.outputs.outputs_off();
+            self.io.outputs = 0;
+        }
+    }
+
+    fn on_serial(&mut self, port: Port, run: impl FnOnce(&mut SerialBus, &mut Surroundings<'_>)) {
+        if let Some((bus, mut around)) = self.serial_parts(port) {
+            run(bus, &mut around);
+        }
+    }
+
+    fn serial_parts(&mut self, port: Port) -> Option<(&mut SerialBus, Surroundings<'_>)> {
+        let [host, rs485_a, rs485_b, _] = &mut self.counters;
+        let (bus, counters) = match port {
+            Port::Rs485A => (&mut self.rs485_a, rs485_a),
+            Port::Rs485B => (&mut self.rs485_b, rs485_b),
+            Port::Host | Port::Can => return None,
+        };
+        let host = HostSide { output: &mut self.output, counters: host };
+        let port = self.live.port(port);
+        Some((bus, Surroundings { host, port, counters, reply_times: &mut self.reply_times }))
+    }
+
+    fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
+        let [host, _, _, counters] = &mut self.counters;
+        let host = HostSide { output: &mut self.output, counters: host };
+        let port = self.live.port(Port::Can);
+        (&mut self.can, Surroundings { host, port, counters, reply_times: &mut self.reply_times })
+    }
+}
+
+/// What came out of the host's bytes, apart from the deframer: a frame, or the unit and the fault of a burst.
+fn apart(event: Event<'_>) -> Result<Vec<u8, FRAME_MAX>, (u8, Fault)> {
+    match event {
+        // the deframer's frames are never longer
+        Event::Frame(frame) => Ok(Vec::from_slice(frame).unwrap_or_default()),
+        Event::Dropped { fault, burst } => Err((burst.first().copied().unwrap_or(0), fault)),
+    }
+}
+
+/// The same frame for another address.
+fn readdress<'b>(frame: &[u8], address: u8, buffer: &'b mut [u8; FRAME_MAX]) -> &'b [u8] {
+    let content = checksum::verify(frame).and_then(|content| content.get(1..)).unwrap_or(&[]);
+    let mut writer = Writer::new(buffer);
+    // it had room before
+    let _ =
+        writer.u8(address).and_then(|()| writer.slice(content)).and_then(|()| checksum::seal(&mut writer));
+    writer.finish()
+}

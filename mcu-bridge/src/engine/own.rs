@@ -1,0 +1,409 @@
+//! Unit 247: the bridge's own registers. Values wider than a register come high word first.
+
+use super::Engine;
+use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
+use super::counters::Counters;
+use jointbus_protocol::modbus::{
+    ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
+};
+use jointbus_protocol::time::{Duration, Instant};
+
+/// Version of the register map.
+pub const MAP_VERSION: u16 = 1;
+
+/// Time in which an applied configuration has to be confirmed.
+pub const CONFIRM_WITHIN: Duration = Duration::from_millis(10_000);
+
+/// Why the bridge started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power came.
+    PowerOn,
+    /// The reset pin.
+    Pin,
+    /// The firmware itself: the reboot command.
+    Software,
+    /// The watchdog.
+    Watchdog,
+    /// A panic or a fault.
+    Panic,
+}
+
+impl ResetCause {
+    /// Its number in the register.
+    #[must_use]
+    pub const fn value(self) -> u16 {
+        match self {
+            Self::PowerOn => 1,
+            Self::Pin => 2,
+            Self::Software => 3,
+            Self::Watchdog => 4,
+            Self::Panic => 5,
+        }
+    }
+}
+
+/// What is not well with the bridge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Health {
+    /// It runs from the internal oscillator.
+    pub internal_oscillator: bool,
+    /// The CAN controller does not answer.
+    pub no_can: bool,
+    /// The CAN controller is bus-off.
+    pub bus_off: bool,
+    /// The stored configuration could not be read.
+    pub defaulted: bool,
+}
+
+/// What the firmware tells about itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Identity {
+    /// Firmware version: major, minor, patch.
+    pub version: [u16; 3],
+    /// Why it started.
+    pub reset_cause: ResetCause,
+}
+
+/// What the host asked the firmware to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Command {
+    /// Restart, after the answer has been sent.
+    Reboot,
+}
+
+/// Commands at holding register 0.
+mod command {
+    pub(super) const APPLY: u16 = 0xA991;
+    pub(super) const CONFIRM: u16 = 0xC0F1;
+    pub(super) const SAVE: u16 = 0x5A7E;
+    pub(super) const DEFAULTS: u16 = 0xDEFA;
+    pub(super) const REBOOT: u16 = 0xB007;
+    pub(super) const CLEAR_COUNTERS: u16 = 0xC1EA;
+}
+
+/// Last input register.
+const INPUT_LAST: u16 = 0x02FF;
+
+/// What the host may write, while a write is being judged.
+#[derive(Debug, Clone, Copy)]
+struct Settings {
+    staged: Network,
+    limits: Limits,
+}
+
+impl Engine {
+    /// Judges a request to the bridge itself whole, then carries it out whole.
+    pub(super) fn serve_own<'d>(
+        &mut self,
+        request: &Request<'_>,
+        data: &'d mut [u8],
+        now: Instant,
+    ) -> Response<'d> {
+        let function = request.function();
+        let result = match *request {
+            Request::ReadHoldingRegisters(range) => {
+                let (staged, limits) = (&self.staged, &self.limits);
+                fill(range, u16::MAX, data, |address| holding(staged, limits, address))
+                    .map(|data| Response::Read { function, data })
+            }
+            Request::ReadInputRegisters(range) => {
+                fill(range, INPUT_LAST, data, |address| self.input(address, now))
+                    .map(|data| Response::Read { function, data })
+            }
+            Request::WriteSingleRegister { address, value } => self
+                .write_own(Range::new(address, 1), &value.to_be_bytes(), now)
+                .map(|()| Response::WriteSingle { function, address, value }),
+            Request::WriteMultipleRegisters { range, data } => {
+                self.write_own(range, data, now).map(|()| Response::WriteMultiple { function, range })
+            }
+            _ => Err(ExceptionCode::IllegalFunction),
+        };
+        result.unwrap_or_else(|exception| Response::exception(function, exception))
+    }
+
+    fn input(&self, address: u16, now: Instant) -> u16 {
+        let [major, minor, patch] = self.identity.version;
+        match address {
+            0x0000 => MAP_VERSION,
+            0x0001 => major,
+            0x0002 => minor,
+            0x0003 => patch,
+            0x0004..=0x0007 => word(now.as_micros(), 4, address.wrapping_sub(0x0004)),
+            0x0008 => self.identity.reset_cause.value(),
+            0x0009 => self.health_bits(),
+            0x0020..=0x009F => self.counter(address.wrapping_sub(0x0020)),
+            0x0200..=0x023F => self.reply_time(address.wrapping_sub(0x0200)),
+            _ => 0,
+        }
+    }
+
+    fn health_bits(&self) -> u16 {
+        let Health { internal_oscillator, no_can, bus_off, defaulted } = self.health;
+        let bits = [internal_oscillator, no_can, bus_off, defaulted, self.confirm_until.is_some()];
+        bits.iter().rev().fold(0, |word, bit| word << 1 | u16::from(*bit))
+    }
+
+    fn counter(&self, offset: u16) -> u16 {
+        let port = self.counters.get(usize::from(offset / 0x20));
+        let counter = |counters: &Counters| counters.in_order().get(usize::from(offset % 0x20 / 2)).copied();
+        word(port.and_then(counter).unwrap_or(0).into(), 2, offset % 2)
+    }
+
+    fn reply_time(&self, offset: u16) -> u16 {
+        let Some(time) = self.reply_times.get(usize::from(offset / 4)) else { return 0 };
+        let tens = |span: Duration| u16::try_from(span.as_micros() / 10).unwrap_or(u16::MAX);
+        match offset % 4 {
+            1 => tens(time.last),
+            2 => tens(time.largest),
+            _ => 0,
+        }
+    }
+
+    fn write_own(&mut self, range: Range, data: &[u8], now: Instant) -> Result<(), ExceptionCode> {
+        check(range, WRITE_REGISTERS_MAX, u16::MAX)?;
+        if data.len() != usize::from(range.quantity).wrapping_mul(2) {
+            return Err(ExceptionCode::IllegalDataValue);
+        }
+        let mut settings = Settings { staged: self.staged, limits: self.limits };
+        let mut command = None;
+        for (address, value) in range.addresses().zip(registers(data)) {
+            match address {
+                0x0000 => command = Some(value),
+                _ => settings.write(address, value)?,
+            }
+        }
+        if let Some(command) = command {
+            return self.command(command, now);
+        }
+        self.staged = settings.staged;
+        self.limits = settings.limits;
+        self.host.set_silence(self.limits.burst_silence());
+        Ok(())
+    }
+
+    /// Only a write of register 0 alone gets here: there are no others beside it.
+    fn command(&mut self, command: u16, now: Instant) -> Result<(), ExceptionCode> {
+        match command {
+            command::APPLY => {
+                if !self.staged.is_valid() {
+                    return Err(ExceptionCode::IllegalDataValue);
+                }
+                self.confirm_until = Some(now.after(CONFIRM_WITHIN));
+                self.go_live(self.staged, now);
+            }
+            command::CONFIRM => {
+                self.confirm_until = None;
+                self.confirmed = self.live;
+            }
+            // no board offers a store yet
+            command::SAVE => return Err(ExceptionCode::ServerDeviceFailure),
+            command::DEFAULTS => {
+                self.staged = Network::default();
+                self.limits = Limits::default();
+                self.host.set_silence(self.limits.burst_silence());
+            }
+            command::REBOOT => self.command = Some(Command::Reboot),
+            command::CLEAR_COUNTERS => self.counters = Default::default(),
+            _ => return Err(ExceptionCode::IllegalDataValue),
+        }
+        Ok(())
+    }
+
+    /// Returns to the confirmed configuration where the applied one was not confirmed in time.
+    pub(super) fn roll_back(&mut self, now: Instant) {
+        if self.confirm_until.is_some_and(|end| now >= end) {
+            self.confirm_until = None;
+            self.staged = self.confirmed;
+            self.go_live(self.confirmed, now);
+        }
+    }
+}
+
+/// Judges addresses and quantity of a request.
+fn check(range: Range, most: u16, last: u16) -> Result<(), ExceptionCode> {
+    if range.quantity == 0 || range.quantity > most {
+        return Err(ExceptionCode::IllegalDataValue);
+    }
+    if range.within(0, last) { Ok(()) } else { Err(ExceptionCode::IllegalDataAddress) }
+}
+
+/// Fills the data of a read.
+fn fill(
+    range: Range,
+    last: u16,
+    data: &mut [u8],
+    value: impl Fn(u16) -> u16,
+) -> Result<&[u8], ExceptionCode> {
+    check(range, READ_REGISTERS_MAX, last)?;
+    let length = usize::from(range.quantity).wrapping_mul(2);
+    let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
+    for (place, address) in data.as_chunks_mut::<2>().0.iter_mut().zip(range.addresses()) {
+        *place = value(address).to_be_bytes();
+    }
+    Ok(data)
+}
+
+/// Word `index` of a value of so many words, high word first.
+const fn word(value: u64, words: u16, index: u16) -> u16 {
+    let place = words.wrapping_sub(1).wrapping_sub(index) as u32;
+    value.wrapping_shr(place.wrapping_mul(16)) as u16
+}
+
+/// A holding register; what is not listed reads 0.
+fn holding(staged: &Network, limits: &Limits, address: u16) -> u16 {
+    match address {
+        0x0010..=0x002F => {
+            let offset = address.wrapping_sub(0x0010);
+            staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
+        }
+        0x0042 => limits.host_silence_ms,
+        0x0043 => limits.burst_silence_100us,
+        0x0100..=0x01FF => {
+            let offset = address.wrapping_sub(0x0100);
+            staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
+        }
+        _ => 0,
+    }
+}
+
+impl Settings {
+    fn write(&mut self, address: u16, value: u16) -> Result<(), ExceptionCode> {
+        const PORTS: u16 = Port::ALL.len() as u16;
+        const ROWS: u16 = ROUTES as u16;
+        const _: () = assert!(0x0010 + 8 * PORTS == 0x0030 && 0x0100 + 0x10 * ROWS == 0x0200);
+        let unlisted = ExceptionCode::IllegalDataAddress;
+        match address {
+            0x0010..=0x002F => {
+                let offset = address.wrapping_sub(0x0010);
+                let port = self.staged.ports.get_mut(usize::from(offset / 8)).ok_or(unlisted)?;
+                port.set_register(offset % 8, value)
+            }
+            0x0042 => {
+                self.limits.host_silence_ms = value;
+                Ok(())
+            }
+            0x0043 => {
+                self.limits.burst_silence_100us = at_least_1(value)?;
+                Ok(())
+            }
+            0x0100..=0x01FF => {
+                let offset = address.wrapping_sub(0x0100);
+                let row = self.staged.routes.get_mut(usize::from(offset / 0x10)).ok_or(unlisted)?;
+                row.set_register(offset % 0x10, value)
+            }
+            _ => Err(unlisted),
+        }
+    }
+}
+
+fn byte(value: u16) -> Result<u8, ExceptionCode> {
+    u8::try_from(value).map_err(|_| ExceptionCode::IllegalDataValue)
+}
+
+fn at_least_1(value: u16) -> Result<u16, ExceptionCode> {
+    if value > 0 { Ok(value) } else { Err(ExceptionCode::IllegalDataValue) }
+}
+
+fn flag(value: u16) -> Result<bool, ExceptionCode> {
+    match value {
+        0 => Ok(false),
+        1 => Ok(true),
+        _ => Err(ExceptionCode::IllegalDataValue),
+    }
+}
+
+/// Registers 0x0010 + 8 p.
+impl PortConfig {
+    fn register(&self, offset: u16) -> u16 {
+        match offset {
+            0 => self.rate,
+            1 => {
+                let parity = match self.parity {
+                    Parity::None => 0,
+                    Parity::Even => 1,
+                    Parity::Odd => 2,
+                };
+                u16::from_be_bytes([self.stop_bits, parity])
+            }
+            2 => self.gap_100us,
+            3 => self.node.into(),
+            4 => self.echo.into(),
+            _ => 0,
+        }
+    }
+
+    fn set_register(&mut self, offset: u16, value: u16) -> Result<(), ExceptionCode> {
+        match offset {
+            0 => self.rate = at_least_1(value)?,
+            1 => {
+                let [stop_bits, parity] = value.to_be_bytes();
+                let parity = match parity {
+                    0 => Parity::None,
+                    1 => Parity::Even,
+                    2 => Parity::Odd,
+                    _ => return Err(ExceptionCode::IllegalDataValue),
+                };
+                if !(1..=2).contains(&stop_bits) {
+                    return Err(ExceptionCode::IllegalDataValue);
+                }
+                self.stop_bits = stop_bits;
+                self.parity = parity;
+            }
+            2 => self.gap_100us = value,
+            3 => self.node = byte(value)?,
+            // echo is not handled yet: what can't be done is refused
+            4 => {
+                self.echo = flag(value)
+                    .and_then(|on| if on { Err(ExceptionCode::IllegalDataValue) } else { Ok(on) })?
+            }
+            _ => return Err(ExceptionCode::IllegalDataAddress),
+        }
+        Ok(())
+    }
+}
+
+/// Registers 0x0100 + 0x10 r.
+impl Route {
+    fn register(&self, offset: u16) -> u16 {
+        if !self.is_used() && matches!(offset, 2..=4) {
+            return 0;
+        }
+        match offset {
+            0 => self.first_unit.into(),
+            1 => self.last_unit.into(),
+            2 => self.bus.value(),
+            3 => self.protocol.value(),
+            4 => self.first_remote.into(),
+            5 => self.read_timeout_ms,
+            6 => self.write_timeout_ms,
+            7 => self.read_retries.into(),
+            8 => self.time_to_live_ms,
+            9 => self.hold_off_ms,
+            10 => self.refuse_writes.into(),
+            _ => 0,
+        }
+    }
+
+    fn set_register(&mut self, offset: u16, value: u16) -> Result<(), ExceptionCode> {
+        let refused = ExceptionCode::IllegalDataValue;
+        match offset {
+            0 => self.first_unit = byte(value)?,
+            1 => self.last_unit = byte(value)?,
+            2 => self.bus = Bus::from_value(value).ok_or(refused)?,
+            3 => self.protocol = Protocol::from_value(value).ok_or(refused)?,
+            4 => self.first_remote = byte(value)?,
+            5 => self.read_timeout_ms = at_least_1(value)?,
+            6 => self.write_timeout_ms = at_least_1(value)?,
+            7 => {
+                self.read_retries =
+                    byte(value).and_then(|count| if count < 10 { Ok(count) } else { Err(refused) })?
+            }
+            8 => self.time_to_live_ms = at_least_1(value)?,
+            9 => self.hold_off_ms = value,
+            10 => self.refuse_writes = flag(value)?,
+            _ => return Err(ExceptionCode::IllegalDataAddress),
+        }
+        Ok(())
+    }
+}
