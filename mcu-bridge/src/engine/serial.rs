@@ -95,6 +95,7 @@ impl SerialBus {
         count(&mut around.counters.sent);
         let Some(expected) = &flight.request.expected else {
             self.finish(around);
+            self.take_next(now, around);
             return;
         };
         let [longest, other] = expected.lengths();
@@ -127,6 +128,7 @@ impl SerialBus {
                 self.finish(around);
             }
         }
+        self.take_next(now, around);
     }
 
     /// Does what is due.

@@ -1,0 +1,205 @@
+//! An engine with devices on its buses, in virtual time: every call advances to the engine's next deadline.
+
+use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
+use jointbus_protocol::can::Frame;
+use jointbus_protocol::modbus::{self, rtu};
+use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
+use jointbus_protocol::nst::can::{Outcome, Reassembler};
+use jointbus_protocol::nst::{self, Daq, RamHardware, Sample, SignEncoding};
+use jointbus_protocol::time::{Duration, Instant};
+use jointbus_protocol::wire::Writer;
+
+pub(crate) const SAMPLE: Sample = Sample([1000, -2000, 3000, -4, 5, -6]);
+
+pub(crate) struct World {
+    pub(crate) engine: Engine,
+    pub(crate) now: Instant,
+    pub(crate) can_daq: Daq<RamHardware>,
+    pub(crate) serial_daq: Daq<RamHardware>,
+    pub(crate) station: Station<RamModule, 1>,
+    /// Ports whose devices don't answer.
+    pub(crate) unplugged: Vec<Port>,
+    /// Answers are kept back instead of sent.
+    pub(crate) held_back: Option<Vec<(Port, Vec<u8>)>>,
+    /// Every frame that went onto a serial bus, and when.
+    pub(crate) sent: Vec<(Instant, Port, Vec<u8>)>,
+    /// Whether anybody acknowledges CAN frames.
+    pub(crate) acknowledge: bool,
+    /// The read reply has function code 0x10, as the manual prints it.
+    pub(crate) quirk: bool,
+    reassembler: Reassembler<1>,
+    host: Vec<u8>,
+}
+
+impl World {
+    pub(crate) fn new() -> Self {
+        let daq = |factor: i32| {
+            let mut hardware = RamHardware::new(1);
+            hardware.sample = Sample(SAMPLE.0.map(|axis| axis * factor));
+            Daq::new(hardware, SignEncoding::TwosComplement)
+        };
+        let layout = Layout { digital_inputs: 14, digital_outputs: 10, analog_inputs: 8, analog_outputs: 4 };
+        let start = Instant::from_micros(1_000_000);
+        let identity = Identity { version: [1, 2, 3], reset_cause: ResetCause::PowerOn };
+        Self {
+            engine: Engine::new(Network::default(), Limits::default(), identity, start),
+            now: start,
+            can_daq: daq(1),
+            serial_daq: daq(2),
+            station: Station::new([RamModule::new(layout)], 1).unwrap(),
+            unplugged: Vec::new(),
+            held_back: None,
+            sent: Vec::new(),
+            acknowledge: true,
+            quirk: false,
+            reassembler: Reassembler::new(1, Duration::from_millis(10)),
+            host: Vec::new(),
+        }
+    }
+
+    /// Sends bytes from the host and lets `span` pass; what came back.
+    pub(crate) fn exchange(&mut self, bytes: &[u8], span: Duration) -> Vec<u8> {
+        self.engine.receive(Port::Host, bytes, self.now);
+        self.pass(span);
+        std::mem::take(&mut self.host)
+    }
+
+    /// Lets time pass, from deadline to deadline.
+    pub(crate) fn pass(&mut self, span: Duration) {
+        let end = self.now.after(span);
+        loop {
+            self.settle();
+            match self.engine.deadline().filter(|deadline| *deadline <= end) {
+                Some(deadline) => {
+                    assert!(deadline >= self.now || self.now.since(deadline) < Duration::from_millis(1));
+                    self.now = self.now.max(deadline).after(Duration::from_micros(1));
+                }
+                None => break,
+            }
+            self.engine.poll(self.now);
+        }
+        self.now = end;
+        self.engine.poll(end);
+        self.settle();
+    }
+
+    /// Carries bytes and frames until nothing moves.
+    fn settle(&mut self) {
+        loop {
+            let mut moved = self.host_output();
+            for port in [Port::Rs485A, Port::Rs485B] {
+                moved |= self.serial_bus(port);
+            }
+            moved |= self.can_bus();
+            if !moved {
+                break;
+            }
+        }
+    }
+
+    fn host_output(&mut self) -> bool {
+        let pending = self.engine.output(Port::Host).to_vec();
+        self.engine.consume(Port::Host, pending.len());
+        self.host.extend_from_slice(&pending);
+        !pending.is_empty()
+    }
+
+    fn serial_bus(&mut self, port: Port) -> bool {
+        let frame = self.engine.output(port).to_vec();
+        if frame.is_empty() {
+            return false;
+        }
+        self.engine.consume(port, frame.len());
+        self.tick(frame.len() as u64 * 87);
+        self.engine.transmitted(port, self.now);
+        self.sent.push((self.now, port, frame.clone()));
+        let mut out = [0; 300];
+        let reply = match port {
+            Port::Rs485A => self.serial_daq.serve_serial(&frame, &mut out).ok(),
+            _ => self.station.serve(&frame, &mut out).ok(),
+        };
+        let Some(reply) = reply.map(<[u8]>::to_vec).filter(|_| !self.unplugged.contains(&port)) else {
+            return true;
+        };
+        if let Some(held_back) = &mut self.held_back {
+            held_back.push((port, reply));
+            return true;
+        }
+        // in two pieces, as a driver hands them over
+        let (first, rest) = reply.split_at(reply.len() / 2);
+        self.tick(first.len() as u64 * 87);
+        self.engine.receive(port, first, self.now);
+        self.tick(rest.len() as u64 * 87);
+        self.engine.receive(port, rest, self.now);
+        true
+    }
+
+    fn can_bus(&mut self) -> bool {
+        if self.engine.wants_abort() {
+            self.engine.frames_aborted(self.now);
+            return true;
+        }
+        let Some(frame) = self.engine.next_frame() else { return false };
+        if !self.acknowledge {
+            return true;
+        }
+        self.tick(130);
+        self.engine.frame_sent(self.now);
+        if self.unplugged.contains(&Port::Can) {
+            return true;
+        }
+        let (mut data, mut out) = ([0; 250], [0; 252]);
+        let Some(Outcome::Complete { source, body }) = self.reassembler.push(&frame, self.now).outcome else {
+            return true;
+        };
+        let address = self.can_daq.address();
+        if let Ok(reply) = self.can_daq.serve(address, body, &mut data) {
+            let mut writer = Writer::new(&mut out);
+            reply.encode(&mut writer).unwrap();
+            let length = writer.finish().len();
+            if self.quirk {
+                out[0] = 0x10;
+            }
+            let frames: Vec<Frame> = nst::can::segment(address, source, &out[..length]).unwrap().collect();
+            for frame in frames {
+                self.tick(130);
+                self.engine.receive_frame(&frame, self.now);
+            }
+        }
+        true
+    }
+
+    fn tick(&mut self, micros: u64) {
+        self.now = self.now.after(Duration::from_micros(micros));
+    }
+
+    /// A request in Modbus RTU, and the data unit of the response; empty for silence.
+    pub(crate) fn modbus(&mut self, unit: u8, pdu: &[u8], span: Duration) -> Vec<u8> {
+        let response = self.exchange(&modbus(unit, pdu), span);
+        if response.is_empty() {
+            return response;
+        }
+        let frame = rtu::Frame::decode(&response).expect("one whole frame");
+        assert_eq!(frame.unit, unit);
+        frame.pdu.to_vec()
+    }
+
+    /// A request in NST, and the body of the reply; empty for silence.
+    pub(crate) fn nst(&mut self, unit: u8, body: &[u8], span: Duration) -> Vec<u8> {
+        let response = self.exchange(&modbus(unit, body), span);
+        if response.is_empty() {
+            return response;
+        }
+        let frame = nst::serial::Frame::decode(&response).expect("one whole frame");
+        assert_eq!(frame.address, unit);
+        frame.body.to_vec()
+    }
+}
+
+/// A frame for the host port: unit, content, CRC, in both dialects.
+pub(crate) fn modbus(unit: u8, content: &[u8]) -> Vec<u8> {
+    let request =
+        modbus::Request::Other { function: modbus::FunctionCode::from_code(content[0]), data: &content[1..] };
+    rtu::encode_request(unit, &request, &mut [0; 300]).unwrap().to_vec()
+}
