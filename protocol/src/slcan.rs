@@ -262,6 +262,7 @@ impl Line<'_> {
 
 /// What a byte completed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Outcome<'reader> {
     /// A line, without its carriage return; empty for a carriage return alone.
     Line(&'reader [u8]),
@@ -387,7 +388,6 @@ mod tests {
 
     #[test]
     fn every_cut_of_a_line_is_refused() {
-        // Four data digits less look like a shorter line; none of them is one, because the length code is compared.
         let line = b"T18FF01238010203040506070F";
         for length in 1..line.len() {
             assert_eq!(Command::decode(&line[..length]), Err(DecodeError::Length), "{length}");

@@ -1,0 +1,352 @@
+//! The modelled peripherals wired together, without anything that runs them: registers, resets, bytes and the
+//! passing of bus time go in; interrupt levels, bytes and the next deadline come out.
+
+use crate::adapter::{Adapter, Request, SHORTEST_FRAME};
+use crate::bus::{Bus, Event, IDLE_BITS};
+use crate::bxcan::{BxCan, Interrupts};
+use crate::control::Control;
+use crate::rcc::{Rcc, ResetCause};
+use jointbus_protocol::can::Frame;
+use jointbus_protocol::slcan::{LineReader, Outcome};
+
+/// Bytes of the longest line of the fault console.
+const CONSOLE_LINE: usize = 64;
+
+/// The peripherals of one STM32F405 board, and the bus it is on.
+#[derive(Debug, Clone)]
+pub struct Board {
+    rcc: Rcc,
+    can: BxCan,
+    bus: Bus,
+    adapter: Adapter,
+    /// What the client said the bit rate is; without a word from it every rate is right.
+    bit_rate: Option<u32>,
+    console: LineReader<CONSOLE_LINE>,
+    next_reset: ResetCause,
+    can_output: Vec<u8>,
+    console_output: Vec<u8>,
+}
+
+impl Default for Board {
+    fn default() -> Self {
+        Self {
+            rcc: Rcc::new(),
+            can: BxCan::new(),
+            bus: Bus::default(),
+            adapter: Adapter::default(),
+            bit_rate: None,
+            console: LineReader::new(),
+            next_reset: ResetCause::Software,
+            can_output: Vec::new(),
+            console_output: Vec::new(),
+        }
+    }
+}
+
+/// The processor's side.
+impl Board {
+    /// A board after power-on.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Resets the peripherals, for the cause that the fault console has chosen or by software. What surrounds the
+    /// processor stays as it is: faults, the client, its frames, the crystal.
+    pub fn reset(&mut self) {
+        self.rcc.reset(self.next_reset);
+        self.reset_can();
+    }
+
+    /// Reads a register of the clock control.
+    #[must_use]
+    pub fn read_rcc(&self, offset: u32) -> u32 {
+        self.rcc.read(offset)
+    }
+
+    /// Writes a register of the clock control.
+    pub fn write_rcc(&mut self, offset: u32, value: u32) {
+        self.rcc.write(offset, value);
+        if self.rcc.can1_is_reset() {
+            self.reset_can();
+        }
+    }
+
+    /// Reads a register of the CAN controller; 0 without its clock.
+    pub fn read_can(&mut self, offset: u32) -> u32 {
+        if self.rcc.can1_is_clocked() { self.can.read(offset) } else { 0 }
+    }
+
+    /// Writes a register of the CAN controller; ignored without its clock and in reset.
+    pub fn write_can(&mut self, offset: u32, value: u32) {
+        if self.rcc.can1_is_clocked() && !self.rcc.can1_is_reset() {
+            self.can.write(offset, value);
+        }
+    }
+
+    /// Levels of the CAN controller's interrupt lines.
+    #[must_use]
+    pub fn interrupts(&self) -> Interrupts {
+        self.can.interrupts()
+    }
+
+    /// Frequency of the processor's clock.
+    #[must_use]
+    pub fn sysclk_hz(&self) -> u32 {
+        self.rcc.sysclk_hz()
+    }
+
+    fn reset_can(&mut self) {
+        self.can.reset();
+        self.bus.controller_reset();
+    }
+}
+
+/// Time on the bus.
+impl Board {
+    /// If something is to happen on the bus: the nanoseconds after which [`Self::step`] is due, unless a step has
+    /// been announced already.
+    #[must_use]
+    pub fn idle_ns(&self) -> Option<u64> {
+        self.bus.is_busy(&self.can).then(|| self.nanoseconds(IDLE_BITS))
+    }
+
+    /// The announced time has passed. Returns the nanoseconds until the next step, if there is one.
+    pub fn step(&mut self) -> Option<u64> {
+        self.bus.faults.bit_rates_differ = self.bit_rate.is_some_and(|rate| !self.controller_runs_at(rate));
+        let Self { bus, can, adapter, can_output, .. } = self;
+        let bits = bus.step(can, |event| adapter.report(event, can_output))?;
+        Some(self.nanoseconds(bits))
+    }
+
+    fn nanoseconds(&self, bits: u32) -> u64 {
+        let clocks = u64::from(bits) * u64::from(self.can.clocks_per_bit());
+        clocks * 1_000_000_000 / u64::from(self.rcc.pclk1_hz().max(1))
+    }
+
+    /// Whether the controller's bit rate is within one percent of this one.
+    fn controller_runs_at(&self, rate: u32) -> bool {
+        let own = self.rcc.pclk1_hz() / self.can.clocks_per_bit();
+        own.abs_diff(rate) <= rate / 100
+    }
+}
+
+/// The client's side.
+impl Board {
+    /// A client has connected: what the one before it had set is forgotten.
+    pub fn can_client_connected(&mut self) {
+        self.adapter = Adapter::default();
+        self.bit_rate = None;
+        self.can_output.clear();
+    }
+
+    /// Bytes that the client may send without a frame being lost.
+    #[must_use]
+    pub fn can_room(&self) -> usize {
+        self.bus.room().saturating_sub(1) * SHORTEST_FRAME
+    }
+
+    /// Takes bytes from the client, no more than there is [room](Self::can_room) for.
+    pub fn take_can_bytes(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            match self.adapter.take(byte, &mut self.can_output) {
+                Some(Request::Send(frame)) => self.offer(frame),
+                Some(Request::BitRate(rate)) => self.bit_rate = Some(rate),
+                None => {}
+            }
+        }
+    }
+
+    /// Bytes for the client.
+    pub fn can_output(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.can_output)
+    }
+
+    /// Takes bytes from the user of the fault console.
+    pub fn take_console_bytes(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            let byte = if byte == b'\n' { b'\r' } else { byte };
+            let control = match self.console.push(byte) {
+                None | Some(Outcome::Line([])) => continue,
+                Some(Outcome::Line(line)) => str::from_utf8(line).ok().and_then(Control::parse),
+                Some(Outcome::Refused | Outcome::TooLong) => None,
+            };
+            let answer: &[u8] = if control.is_some() { b"ok\n" } else { b"?\n" };
+            self.console_output.extend_from_slice(answer);
+            if let Some(control) = control {
+                self.apply(control);
+            }
+        }
+    }
+
+    /// Bytes for the user of the fault console.
+    pub fn console_output(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.console_output)
+    }
+
+    /// Changes the surroundings of the processor.
+    pub fn apply(&mut self, control: Control) {
+        let faults = &mut self.bus.faults;
+        match control {
+            Control::Acknowledge(on) => faults.no_acknowledgement = !on,
+            Control::Bus(works) => faults.stuck = !works,
+            Control::BitErrors(count) => faults.bit_errors = count,
+            Control::ArbitrationLosses(count) => faults.arbitration_losses = count,
+            Control::Crystal(fitted) => self.rcc.set_crystal(fitted),
+            Control::Cause(cause) => self.next_reset = cause,
+        }
+    }
+
+    fn offer(&mut self, frame: Frame) {
+        if !self.bus.offer(frame) {
+            self.adapter.report(Event::Unacknowledged(frame), &mut self.can_output);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const APB1RSTR: u32 = 0x20;
+    const APB1ENR: u32 = 0x40;
+    const CAN1: u32 = 1 << 25;
+    const MCR: u32 = 0x00;
+    const MSR: u32 = 0x04;
+    const BTR: u32 = 0x1c;
+
+    /// A controller on the bus at 1 Mbit/s from the 16 MHz of the start, one filter that lets everything in.
+    fn on_bus() -> Board {
+        let mut board = Board::new();
+        board.write_rcc(APB1ENR, CAN1);
+        board.write_can(MCR, 1);
+        board.write_can(BTR, 0x001c_0000);
+        board.write_can(0x200, 0x2a1c_0e01);
+        board.write_can(0x20c, 1);
+        board.write_can(0x21c, 1);
+        board.write_can(0x200, 0x2a1c_0e00);
+        board.write_can(MCR, 0);
+        run(&mut board);
+        assert_eq!(board.read_can(MSR) & 3, 0);
+        board
+    }
+
+    /// Lets the bus fall silent; the nanoseconds that took.
+    fn run(board: &mut Board) -> u64 {
+        let Some(mut total) = board.idle_ns() else { return 0 };
+        while let Some(next) = board.step() {
+            total += next;
+        }
+        total
+    }
+
+    fn transmit(board: &mut Board) {
+        board.write_can(0x184, 1);
+        board.write_can(0x188, 0xaa);
+        board.write_can(0x180, 0x123 << 21 | 1);
+    }
+
+    #[test]
+    fn frames_take_their_time() {
+        let mut board = on_bus();
+        transmit(&mut board);
+        assert_eq!(run(&mut board), (11 + 47 + 8) * 1000);
+        assert_eq!(board.can_output(), b"t1231AA\r");
+    }
+
+    #[test]
+    fn a_clients_frame_is_confirmed_and_stored() {
+        let mut board = on_bus();
+        board.take_can_bytes(b"T000000012BEEF\rr0014\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"Z\rz\r");
+        assert_eq!(board.read_can(0x0c) & 3, 2);
+        assert_eq!(board.read_can(0x1b0), 1 << 3 | 4);
+        assert_eq!(board.read_can(0x1b8), 0xefbe);
+    }
+
+    #[test]
+    fn a_frame_that_nobody_hears_is_refused() {
+        let mut board = Board::new();
+        board.take_can_bytes(b"t1230\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), [7]);
+    }
+
+    #[test]
+    fn a_wrong_bit_rate_is_noticed() {
+        let mut board = on_bus();
+        board.take_can_bytes(b"S6\rt1230\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"\r\x07");
+        board.take_can_bytes(b"S8\rt1230\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"\rz\r");
+        board.take_can_bytes(b"S6\r");
+        board.can_client_connected();
+        board.take_can_bytes(b"t1230\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"z\r");
+    }
+
+    #[test]
+    fn never_more_is_accepted_than_fits() {
+        let mut board = on_bus();
+        let room = board.can_room();
+        let line = b"t1230\r";
+        board.take_can_bytes(&line[..5]);
+        board.take_can_bytes(&b"\rt1230".repeat(room / 6));
+        assert_eq!(board.can_room(), 0);
+        board.take_can_bytes(b"\r");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"z\r".repeat(room / 6 + 1));
+    }
+
+    #[test]
+    fn the_clock_gates_the_controller() {
+        let mut board = Board::new();
+        board.write_can(MCR, 1);
+        assert_eq!(board.read_can(MSR), 0);
+        board.write_rcc(APB1ENR, CAN1);
+        assert_eq!(board.read_can(MSR), 0xc02);
+    }
+
+    #[test]
+    fn the_reset_bit_resets_the_controller() {
+        let mut board = on_bus();
+        board.write_rcc(APB1RSTR, CAN1);
+        board.write_can(MCR, 1);
+        board.write_rcc(APB1RSTR, 0);
+        assert_eq!(board.read_can(MCR), 0x0001_0002);
+    }
+
+    #[test]
+    fn a_reset_ends_the_frame_on_the_wire() {
+        let mut board = on_bus();
+        transmit(&mut board);
+        assert!(board.step().is_some());
+        board.reset();
+        assert_eq!(board.read_rcc(0x74), 0x1e00_0000);
+        run(&mut board);
+        assert_eq!(board.can_output(), b"");
+    }
+
+    #[test]
+    fn faults_are_injected_by_name() {
+        let mut board = on_bus();
+        board.take_console_bytes(b"bus 0\r\nack 0\n\nwhat\n");
+        assert_eq!(board.console_output(), b"ok\nok\n?\n");
+        transmit(&mut board);
+        assert_eq!(board.idle_ns(), None);
+        board.take_console_bytes(b"bus 1\n");
+        board.step();
+        board.step();
+        assert_eq!(board.read_can(0x18) >> 16 & 0xff, 8);
+        board.take_console_bytes(b"ack 1\n");
+        run(&mut board);
+        assert_eq!(board.can_output(), b"t1231AA\r");
+        board.take_console_bytes(b"cause iwdg\n");
+        board.reset();
+        assert_eq!(board.read_rcc(0x74), 0x2e00_0000);
+    }
+}
