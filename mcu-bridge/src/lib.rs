@@ -21,3 +21,4 @@
 extern crate std;
 
 pub mod engine;
+pub mod io;

@@ -107,6 +107,7 @@ fn the_boards_own_units_answer() {
     assert_eq!(world.modbus(31, &[3, 0, 4, 0, 4], SOON), [3, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0]);
     assert_eq!(world.engine.analog_outputs().channels[0].set_value, 2.5);
     assert!(world.engine.analog_outputs().channels[0].output);
+    assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [0x84, 4], "not measured yet");
     world.engine.set_inputs(0x00A5, [1, 2, 3, 4]);
     assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [4, 2, 0, 0xA5]);
     assert_eq!(world.modbus(40, &[4, 0, 0x43, 0, 1], SOON), [4, 2, 0, 4]);
@@ -221,6 +222,7 @@ fn unknown_units_and_broken_frames_end_with_silence() {
 #[test]
 fn broadcasts_reach_their_buses_and_are_never_answered() {
     let mut world = World::new();
+    world.engine.set_inputs(0, [0; 4]);
     assert_eq!(world.exchange(&modbus(0, &[5, 2, 0, 0xFF, 0]), SOON), []);
     assert_eq!(world.station.modules()[0].outputs, 1);
     assert_eq!(world.engine.digital_outputs(), 1);
@@ -313,10 +315,12 @@ fn a_route_may_refuse_writes() {
 #[test]
 fn host_silence_switches_the_local_outputs_off() {
     let mut world = World::new();
+    world.engine.set_inputs(0, [0; 4]);
     let limit = [6, 0, 0x42, 0, 100];
     assert_eq!(world.modbus(247, &limit, SOON), limit);
     world.modbus(31, &[16, 0, 4, 0, 4, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0], SOON);
-    world.modbus(40, &[5, 2, 0, 0xFF, 0], SOON);
+    let on = [5, 2, 0, 0xFF, 0];
+    assert_eq!(world.modbus(40, &on, SOON), on);
     world.pass(Duration::from_millis(200));
     assert!(!world.engine.analog_outputs().channels[0].output);
     assert_eq!(world.engine.analog_outputs().channels[0].set_value, 2.5, "set values stay");

@@ -17,7 +17,7 @@ use host::{FRAME_MAX, HostDeframer, HostFormat, Output};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::deframe::{Event, Fault, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
-use jointbus_protocol::ndam9010::{self, Layout, RamModule};
+use jointbus_protocol::ndam9010::{self, ChannelError, Layout, RamModule};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
@@ -81,7 +81,8 @@ impl Engine {
             rs485_b: SerialBus::new(now),
             can: CanBus::new(network.port(Port::Can).node),
             outputs,
-            io: RamModule::new(LOCAL_IO),
+            // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
+            io: RamModule { fault: Some(ChannelError::Failed), ..RamModule::new(LOCAL_IO) },
             last_request: Some(now),
         }
     }
@@ -164,6 +165,13 @@ impl Engine {
         count(&mut can.transmit_errors);
     }
 
+    /// A serial or CAN port received something whose checksum, parity or framing was wrong.
+    pub fn receive_error(&mut self, port: Port) {
+        if let Some(counters) = self.counters.get_mut(port.index()) {
+            count(&mut counters.checksum_errors);
+        }
+    }
+
     /// Whether the CAN controller is bus-off now.
     pub const fn set_bus_off(&mut self, bus_off: bool) {
         if bus_off && !self.health.bus_off {
@@ -178,8 +186,15 @@ impl Engine {
         self.health = Health { bus_off: self.health.bus_off, ..health };
     }
 
-    /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs.
+    /// What is not well.
+    #[must_use]
+    pub const fn health(&self) -> Health {
+        self.health
+    }
+
+    /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs. Unit 40 fails until it is known.
     pub fn set_inputs(&mut self, digital: u16, analog: [u16; LOCAL_IO.analog_inputs as usize]) {
+        self.io.fault = None;
         self.io.inputs = digital;
         self.io.analog_inputs.iter_mut().zip(analog).for_each(|(place, value)| *place = value);
     }

@@ -1,0 +1,26 @@
+//! Every number that this board fixes, in one place.
+
+/// Crystal, in Hz.
+pub const CRYSTAL_HZ: u32 = 8_000_000;
+
+/// Core clock from the PLL, in Hz.
+pub const CORE_HZ: u32 = 168_000_000;
+
+/// Times that a hardware flag is looked at before it is given up: some 50 ms at the speed before the PLL runs; a
+/// crystal needs 2 ms, the PLL 300 us (data sheet, 6.3.8 and 6.3.10).
+pub const HARDWARE_TRIES: u32 = 100_000;
+
+/// Period of the tick that wakes the main loop, in us: no deadline is noticed later than this.
+pub const TICK_US: u32 = 100;
+
+/// The watchdog's period: its oscillator of nominally 32 kHz, divided by 16, counts so many steps: half a second.
+pub const WATCHDOG_STEPS: u32 = 1000;
+
+/// Frames that wait between the CAN interrupt and the main loop: longer than a transfer.
+pub const CAN_INCOMING: usize = 33;
+
+/// Steps of an analog output over its whole range, negative limit to positive limit.
+pub const OUTPUT_STEPS: u32 = 4095;
+
+/// Step of an output that is off: the middle, 0 V or 0 mA behind the output stage.
+pub const OUTPUT_OFF: u32 = OUTPUT_STEPS / 2;

@@ -1,0 +1,314 @@
+//! The bridge on an STM32F405: ports in, engine, ports out.
+//!
+//! Interrupts only move bytes and frames between the hardware and bounded queues; the idle loop carries them to the
+//! engine and back, feeds the watchdog and sleeps until the next interrupt.
+#![no_std]
+#![no_main]
+// RTIC makes the resources public, and their types with them
+#![allow(unreachable_pub)]
+
+mod bxcan;
+mod clocks;
+mod constants;
+mod outputs;
+mod reset;
+mod time;
+mod uart;
+mod watchdog;
+
+use defmt_rtt as _;
+
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
+mod app {
+    use crate::bxcan::{self, BusError, Received};
+    use crate::constants::CAN_INCOMING;
+    use crate::outputs::Outputs;
+    use crate::time::{self, Clock};
+    use crate::uart::Uart;
+    use crate::watchdog::Watchdog;
+    use crate::{clocks, reset};
+    use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+    use heapless::spsc::{Consumer, Producer, Queue};
+    use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
+    use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
+    use jointbus_protocol::can::Frame;
+    use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
+    use stm32f4xx_hal::prelude::*;
+    use stm32f4xx_hal::rcc::{Enable, Reset};
+
+    /// What the CAN interrupts count for the main loop.
+    #[derive(Default)]
+    pub struct CanReports {
+        sent: AtomicU32,
+        transmit_errors: AtomicU32,
+        receive_errors: AtomicU32,
+        overrun: AtomicBool,
+    }
+
+    static CAN_REPORTS: CanReports = CanReports {
+        sent: AtomicU32::new(0),
+        transmit_errors: AtomicU32::new(0),
+        receive_errors: AtomicU32::new(0),
+        overrun: AtomicBool::new(false),
+    };
+
+    #[shared]
+    struct Shared {
+        uart1: Uart<USART1>,
+        uart2: Uart<USART2>,
+        uart3: Uart<USART3>,
+    }
+
+    #[local]
+    struct Local {
+        engine: &'static mut Engine,
+        clock: Clock,
+        watchdog: Watchdog,
+        outputs: Outputs,
+        ports: [(Port, MainSide<'static>, Interrupt); 3],
+        /// `None` where the controller does not answer.
+        can: Option<u32>,
+        frames_in: Producer<'static, (Frame, u32)>,
+        frames: Consumer<'static, (Frame, u32)>,
+    }
+
+    #[init(local = [
+        place: Option<Engine> = None,
+        queues: [Queues; 3] = [Queues::new(), Queues::new(), Queues::new()],
+        can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
+    ])]
+    fn init(cx: init::Context) -> (Shared, Local) {
+        let device = cx.device;
+        let mut core = cx.core;
+        let watchdog = Watchdog::start(device.IWDG);
+        let reset_cause = reset::cause(&device.RCC);
+        let (mut rcc, crystal) = clocks::start(device.RCC);
+        time::start(&mut core.SYST, rcc.clocks.sysclk().raw());
+        let mut clock = Clock::default();
+        let network = Network::default();
+
+        let gpioa = device.GPIOA.split(&mut rcc);
+        let gpiob = device.GPIOB.split(&mut rcc);
+        let gpioc = device.GPIOC.split(&mut rcc);
+        // host
+        let _ = (gpioa.pa9.into_alternate::<7>(), gpioa.pa10.into_alternate::<7>());
+        // rs485-a
+        let _ = (gpioa.pa2.into_alternate::<7>(), gpioa.pa3.into_alternate::<7>());
+        let driver_a = gpioa.pa1.into_push_pull_output().erase();
+        // rs485-b
+        let _ = (gpiob.pb10.into_alternate::<7>(), gpiob.pb11.into_alternate::<7>());
+        let driver_b = gpiob.pb12.into_push_pull_output().erase();
+        // can
+        let _ = (gpiob.pb8.into_alternate::<9>(), gpiob.pb9.into_alternate::<9>());
+        // the board's own outputs: DAC, then PWM of timer 3
+        let _ = (gpioa.pa4.into_analog(), gpioa.pa5.into_analog());
+        let _ = (gpioc.pc6.into_alternate::<2>(), gpioc.pc7.into_alternate::<2>());
+        let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
+
+        USART1::enable(&mut rcc);
+        USART1::reset(&mut rcc);
+        USART2::enable(&mut rcc);
+        USART2::reset(&mut rcc);
+        USART3::enable(&mut rcc);
+        USART3::reset(&mut rcc);
+        let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
+        let [first, second, third] = cx.local.queues;
+        let ((in1, main1), (in2, main2), (in3, main3)) = (first.split(), second.split(), third.split());
+        let uart1 = Uart::new(device.USART1, pclk2, None, in1, network.port(Port::Host));
+        let uart2 = Uart::new(device.USART2, pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
+        let uart3 = Uart::new(device.USART3, pclk1, Some(driver_b), in3, network.port(Port::Rs485B));
+
+        CAN1::enable(&mut rcc);
+        CAN1::reset(&mut rcc);
+        let can_port = network.port(Port::Can);
+        let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
+        let (frames_in, frames) = cx.local.can_queue.split();
+
+        let version = [
+            env!("CARGO_PKG_VERSION_MAJOR"),
+            env!("CARGO_PKG_VERSION_MINOR"),
+            env!("CARGO_PKG_VERSION_PATCH"),
+        ]
+        .map(|part| part.parse().unwrap_or(0));
+        let identity = Identity { version, reset_cause };
+        let engine = cx.local.place.insert(Engine::new(network, Limits::default(), identity, clock.now()));
+        engine.set_health(Health {
+            internal_oscillator: !crystal,
+            no_can: can.is_none(),
+            ..Health::default()
+        });
+        defmt::info!("jointbus: crystal {}, can {}", crystal, can.is_some());
+
+        let ports = [
+            (Port::Host, main1, Interrupt::USART1),
+            (Port::Rs485A, main2, Interrupt::USART2),
+            (Port::Rs485B, main3, Interrupt::USART3),
+        ];
+        (
+            Shared { uart1, uart2, uart3 },
+            Local { engine, clock, watchdog, outputs, ports, can, frames_in, frames },
+        )
+    }
+
+    #[idle(
+        local = [engine, clock, watchdog, outputs, ports, can, frames, rebooting: bool = false],
+        shared = [uart1, uart2, uart3]
+    )]
+    fn idle(mut cx: idle::Context) -> ! {
+        let local = cx.local;
+        loop {
+            let now = local.clock.now();
+            for (port, queues, _) in local.ports.iter_mut() {
+                queues.carry_in(local.engine, *port, now);
+            }
+            carry_can_in(local.engine, local.frames, now);
+            local.engine.poll(now);
+
+            for (port, queues, interrupt) in local.ports.iter_mut() {
+                if queues.carry_out(local.engine, *port) {
+                    rtic::pend(*interrupt);
+                }
+            }
+            if local.can.is_some() {
+                carry_can_out(local.engine, now);
+            }
+            local.outputs.apply(local.engine.analog_outputs());
+
+            if let Some(config) = local.engine.take_port_change(Port::Host) {
+                cx.shared.uart1.lock(|uart| uart.configure(&config));
+            }
+            if let Some(config) = local.engine.take_port_change(Port::Rs485A) {
+                cx.shared.uart2.lock(|uart| uart.configure(&config));
+            }
+            if let Some(config) = local.engine.take_port_change(Port::Rs485B) {
+                cx.shared.uart3.lock(|uart| uart.configure(&config));
+            }
+            if let (Some(config), Some(bus_hz)) = (local.engine.take_port_change(Port::Can), *local.can)
+                && bxcan::start(can(), bus_hz, config.rate, config.node).is_err()
+            {
+                *local.can = None;
+                local.engine.set_health(Health { no_can: true, ..local.engine.health() });
+            }
+
+            if let Some(Command::Reboot) = local.engine.take_command() {
+                *local.rebooting = true;
+            }
+            let answered = local.engine.output(Port::Host).is_empty();
+            if *local.rebooting && answered && cx.shared.uart1.lock(|uart| uart.is_quiet()) {
+                reset::by_command();
+            }
+            local.watchdog.feed();
+            // an interrupt between the look and the sleep ends the sleep at once
+            cortex_m::interrupt::free(|_| {
+                if local.ports.iter().all(|(_, queues, _)| queues.is_idle()) && !local.frames.ready() {
+                    cortex_m::asm::wfi();
+                }
+            });
+        }
+    }
+
+    fn carry_can_in(
+        engine: &mut Engine,
+        frames: &mut Consumer<'static, (Frame, u32)>,
+        now: jointbus_protocol::time::Instant,
+    ) {
+        // acknowledgements first: a reply comes after the request that it answers
+        for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
+            engine.frame_sent(now);
+        }
+        for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
+            engine.transmit_error();
+        }
+        for _ in 0..CAN_REPORTS.receive_errors.swap(0, Ordering::Relaxed) {
+            engine.receive_error(Port::Can);
+        }
+        if CAN_REPORTS.overrun.swap(false, Ordering::Relaxed) {
+            engine.overrun(Port::Can);
+        }
+        for _ in 0..CAN_INCOMING {
+            let Some((frame, micros)) = frames.dequeue() else { break };
+            engine.receive_frame(&frame, recent(now, micros));
+        }
+    }
+
+    fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+        let can = can();
+        engine.set_bus_off(bxcan::is_bus_off(can));
+        if engine.wants_abort() {
+            bxcan::abort(can);
+            if bxcan::is_empty(can) && CAN_REPORTS.sent.load(Ordering::Relaxed) == 0 {
+                engine.frames_aborted(now);
+            }
+            return;
+        }
+        while bxcan::has_room(can) {
+            let Some(frame) = engine.next_frame() else { break };
+            bxcan::transmit(can, &frame);
+        }
+    }
+
+    /// The controller's registers. Interrupts and main loop each write registers, or bits that ignore a written 0, of
+    /// their own.
+    fn can() -> &'static pac::can1::RegisterBlock {
+        // SAFETY: the peripheral exists as long as the chip runs; who writes what is told above
+        unsafe { &*CAN1::ptr() }
+    }
+
+    #[task(binds = SysTick, priority = 4)]
+    fn tick(_: tick::Context) {
+        time::tick();
+    }
+
+    #[task(binds = CAN1_RX0, priority = 3, local = [frames_in])]
+    fn can_receive(cx: can_receive::Context) {
+        let micros = time::micros();
+        if bxcan::overrun(can()) {
+            CAN_REPORTS.overrun.store(true, Ordering::Relaxed);
+        }
+        // the FIFO holds three
+        for _ in 0..3 {
+            match bxcan::receive(can()) {
+                Some(Received::Frame(frame)) => {
+                    if cx.local.frames_in.enqueue((frame, micros)).is_err() {
+                        CAN_REPORTS.overrun.store(true, Ordering::Relaxed);
+                    }
+                }
+                Some(Received::Strange) => {
+                    CAN_REPORTS.receive_errors.fetch_add(1, Ordering::Relaxed);
+                }
+                None => break,
+            }
+        }
+    }
+
+    #[task(binds = CAN1_TX, priority = 3)]
+    fn can_sent(_: can_sent::Context) {
+        CAN_REPORTS.sent.fetch_add(bxcan::completed(can()).sent, Ordering::Relaxed);
+    }
+
+    #[task(binds = CAN1_SCE, priority = 3)]
+    fn can_error(_: can_error::Context) {
+        let counter = match bxcan::error(can()) {
+            Some(BusError::Transmit) => &CAN_REPORTS.transmit_errors,
+            Some(BusError::Receive) => &CAN_REPORTS.receive_errors,
+            None => return,
+        };
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+
+    #[task(binds = USART1, priority = 2, shared = [uart1])]
+    fn host(mut cx: host::Context) {
+        cx.shared.uart1.lock(|uart| uart.on_interrupt(time::micros()));
+    }
+
+    #[task(binds = USART2, priority = 2, shared = [uart2])]
+    fn rs485_a(mut cx: rs485_a::Context) {
+        cx.shared.uart2.lock(|uart| uart.on_interrupt(time::micros()));
+    }
+
+    #[task(binds = USART3, priority = 2, shared = [uart3])]
+    fn rs485_b(mut cx: rs485_b::Context) {
+        cx.shared.uart3.lock(|uart| uart.on_interrupt(time::micros()));
+    }
+}

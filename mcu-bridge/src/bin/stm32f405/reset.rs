@@ -1,0 +1,58 @@
+//! Why the chip started, kept across the reset that a panic or a fault leads to.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use cortex_m::peripheral::SCB;
+use jointbus_mcu_bridge::engine::ResetCause;
+use stm32f4xx_hal::pac;
+
+/// Left for the next start: a mark, and its complement, so that memory after power-on says nothing.
+// SAFETY: the section is memory that nothing else uses, and any content is a valid value
+#[unsafe(link_section = ".kept")]
+static MARK: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
+
+const PANIC: u32 = 0x5041_4E49;
+
+/// Resets the chip after a panic or a fault.
+pub fn after_panic() -> ! {
+    let [mark, complement] = &MARK;
+    mark.store(PANIC, Ordering::SeqCst);
+    complement.store(!PANIC, Ordering::SeqCst);
+    SCB::sys_reset()
+}
+
+/// Resets the chip because the host asked for it.
+pub fn by_command() -> ! {
+    SCB::sys_reset()
+}
+
+/// Why the chip started; asked once, because it clears what it reads.
+pub fn cause(rcc: &pac::RCC) -> ResetCause {
+    let [mark, complement] = &MARK;
+    let panicked = mark.swap(0, Ordering::SeqCst) == PANIC && complement.swap(0, Ordering::SeqCst) == !PANIC;
+    let flags = rcc.csr().read();
+    let (power, watchdog, software) =
+        (flags.porrstf().bit_is_set(), flags.wdgrstf().bit_is_set(), flags.sftrstf().bit_is_set());
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    // every reset pulls the pin as well, and power-on leaves anything in memory
+    match (power, watchdog, software) {
+        (true, _, _) => ResetCause::PowerOn,
+        (_, true, _) => ResetCause::Watchdog,
+        (_, _, true) if panicked => ResetCause::Panic,
+        (_, _, true) => ResetCause::Software,
+        _ => ResetCause::Pin,
+    }
+}
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    let line = info.location().map_or(0, core::panic::Location::line);
+    defmt::error!("panic in line {}", line);
+    after_panic()
+}
+
+// SAFETY: it touches nothing but the mark and the reset register
+#[cortex_m_rt::exception]
+unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+    defmt::error!("hard fault at {:#010x}", frame.pc());
+    after_panic()
+}

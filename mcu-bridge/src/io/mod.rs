@@ -1,0 +1,3 @@
+//! Between the ports of a board and the [engine](crate::engine): what interrupts put down, the main loop carries on.
+
+pub mod serial;
