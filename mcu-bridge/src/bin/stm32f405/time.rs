@@ -47,15 +47,18 @@ pub fn micros() -> u32 {
     TICKS.load(Ordering::Relaxed).wrapping_mul(TICK_US)
 }
 
-/// Microseconds since boot in full; its owner asks more often than every 71 minutes.
+/// Microseconds since boot in full; its owner asks more often than every 35 minutes.
 #[derive(Default)]
 pub struct Clock(u64);
 
 impl Clock {
-    /// Now.
+    /// Now; never before what it said last.
     pub fn now(&mut self) -> Instant {
         let passed = micros().wrapping_sub(self.0 as u32);
-        self.0 += u64::from(passed);
+        // a tick that is told late makes the counter look one tick younger for a moment
+        if passed < u32::MAX / 2 {
+            self.0 += u64::from(passed);
+        }
         Instant::from_micros(self.0)
     }
 }
