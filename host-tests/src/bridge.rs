@@ -1,0 +1,199 @@
+//! The bridge's own unit, as a host sees it: who it is, its counters, its time limits.
+
+use crate::client::{Client, Error};
+use std::io::{Read, Write};
+use std::time::{Duration, Instant};
+
+/// Unit address of the bridge itself.
+pub const UNIT: u8 = 247;
+
+/// Version of the register map that this module knows.
+pub const MAP_VERSION: u16 = 1;
+
+/// Numbers of the ports in the register map.
+pub mod port {
+    /// The host.
+    pub const HOST: u16 = 0;
+    /// The first RS485 bus.
+    pub const RS485_A: u16 = 1;
+    /// The second RS485 bus.
+    pub const RS485_B: u16 = 2;
+    /// The CAN bus.
+    pub const CAN: u16 = 3;
+}
+
+/// Numbers of the routes that lead to buses in the default configuration.
+pub const BUS_ROUTES: [u16; 3] = [0, 1, 3];
+
+const COMMAND: u16 = 0x0000;
+const APPLY: u16 = 0xA991;
+const CONFIRM: u16 = 0xC0F1;
+const BURST_SILENCE: u16 = 0x0043;
+const PORT_COUNTERS: u16 = 0x0020;
+const ROUTES: u16 = 0x0100;
+const ROUTE_TIMES: u16 = 5;
+
+/// What the bridge tells about itself: input registers 0x0000 to 0x0009.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct About {
+    /// Version of the register map.
+    pub map_version: u16,
+    /// Firmware version: major, minor, patch.
+    pub version: [u16; 3],
+    /// Microseconds since boot.
+    pub uptime_us: u64,
+    /// Why it started.
+    pub reset_cause: u16,
+    /// Health bits, 0 where all is well.
+    pub health: u16,
+}
+
+/// Asks the bridge who it is.
+///
+/// # Errors
+/// [`Error`]. So for every function here.
+pub fn about<S: Read + Write>(client: &mut Client<S>) -> Result<About, Error> {
+    match *client.modbus(UNIT).read_input_registers(0, 10)? {
+        [map_version, major, minor, patch, a, b, c, d, reset_cause, health] => Ok(About {
+            map_version,
+            version: [major, minor, patch],
+            uptime_us: [a, b, c, d].into_iter().fold(0, |value, word| value << 16 | u64::from(word)),
+            reset_cause,
+            health,
+        }),
+        _ => Err(Error::Answer),
+    }
+}
+
+/// Asks until the bridge answers, for so long at most; a burst that was cut short needs silence first.
+///
+/// # Errors
+/// [`Error::Timeout`] where it does not answer in that time.
+pub fn wait<S: Read + Write>(client: &mut Client<S>, patience: Duration) -> Result<About, Error> {
+    let deadline = Instant::now() + patience;
+    loop {
+        match about(client) {
+            Err(Error::Timeout) if Instant::now() < deadline => {}
+            result => return result,
+        }
+    }
+}
+
+/// Counters of a port, in the order of the register map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counters {
+    /// Valid frames received.
+    pub received: u32,
+    /// Frames sent.
+    pub sent: u32,
+    /// Frames with a wrong checksum.
+    pub checksum_errors: u32,
+    /// Bursts without a frame.
+    pub dropped_bursts: u32,
+    /// Attempts without an answer.
+    pub timeouts: u32,
+    /// Reads sent again.
+    pub retries: u32,
+    /// Replies that nobody waited for.
+    pub foreign: u32,
+    /// Bytes or frames lost in the port.
+    pub overruns: u32,
+    /// Requests that outlived their time.
+    pub expired: u32,
+    /// Requests that were refused.
+    pub refused: u32,
+    /// Times that CAN was bus-off.
+    pub bus_off: u32,
+    /// Transmit errors or collisions.
+    pub transmit_errors: u32,
+}
+
+/// Reads the counters of a port.
+///
+/// # Errors
+/// [`Error`].
+pub fn counters<S: Read + Write>(client: &mut Client<S>, port: u16) -> Result<Counters, Error> {
+    let words = client.modbus(UNIT).read_input_registers(PORT_COUNTERS + 0x20 * port, 24)?;
+    let mut values =
+        words.as_chunks::<2>().0.iter().map(|[high, low]| u32::from(*high) << 16 | u32::from(*low));
+    let mut next = || values.next().ok_or(Error::Answer);
+    Ok(Counters {
+        received: next()?,
+        sent: next()?,
+        checksum_errors: next()?,
+        dropped_bursts: next()?,
+        timeouts: next()?,
+        retries: next()?,
+        foreign: next()?,
+        overruns: next()?,
+        expired: next()?,
+        refused: next()?,
+        bus_off: next()?,
+        transmit_errors: next()?,
+    })
+}
+
+/// Time limits of the routes to the buses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Time that a device has to answer a read, in ms.
+    pub read_ms: u16,
+    /// Time that a device has to answer anything else, in ms.
+    pub write_ms: u16,
+    /// How often a read is sent again.
+    pub retries: u16,
+    /// Time after which a request is no longer sent, in ms.
+    pub time_to_live_ms: u16,
+    /// How long a reply is owed, in ms; 0 stands for three times the timeout.
+    pub hold_off_ms: u16,
+    /// Silence that ends a burst from the host, in 100 us.
+    pub burst_silence_100us: u16,
+}
+
+impl Limits {
+    /// Limits that a slow machine does not reach; only what is really absent runs into them.
+    pub const GENEROUS: Self = Self {
+        read_ms: 3000,
+        write_ms: 3000,
+        retries: 1,
+        time_to_live_ms: 30_000,
+        hold_off_ms: 0,
+        burst_silence_100us: 20_000,
+    };
+
+    /// Longest time from a request that is alone to the answer that no device answers.
+    #[must_use]
+    pub fn longest(&self) -> Duration {
+        let reads = u64::from(self.read_ms) * (u64::from(self.retries) + 1);
+        let attempts = reads.max(u64::from(self.write_ms));
+        // an earlier timeout may hold a request back
+        Duration::from_millis(u64::from(self.time_to_live_ms) + attempts)
+    }
+}
+
+/// Puts new limits into force, confirmed.
+///
+/// # Errors
+/// [`Error`]; [`Error::Answer`] where they were not confirmed in time, however often it was tried.
+pub fn set_limits<S: Read + Write>(client: &mut Client<S>, limits: &Limits) -> Result<(), Error> {
+    const TRIES: usize = 5;
+    let mut own = client.modbus(UNIT);
+    own.write_registers(BURST_SILENCE, &[limits.burst_silence_100us])?;
+    let times = [limits.read_ms, limits.write_ms, limits.retries, limits.time_to_live_ms, limits.hold_off_ms];
+    for _ in 0..TRIES {
+        for route in BUS_ROUTES {
+            own.write_registers(ROUTES + 0x10 * route + ROUTE_TIMES, &times)?;
+        }
+        own.write_registers(COMMAND, &[APPLY])?;
+        own.write_registers(COMMAND, &[CONFIRM])?;
+        // what was confirmed too late is no longer staged
+        let mut kept = true;
+        for route in BUS_ROUTES {
+            kept &= own.read_holding_registers(ROUTES + 0x10 * route + ROUTE_TIMES, 5)? == times;
+        }
+        if kept {
+            return Ok(());
+        }
+    }
+    Err(Error::Answer)
+}

@@ -1,0 +1,154 @@
+use super::{Client, Error};
+use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX, Frame, encode_request};
+use jointbus_protocol::modbus::{
+    BROADCAST, COIL_OFF, COIL_ON, Range, Request, Response, bit, bytes_of_bits, registers,
+};
+use std::io::{Read, Write};
+
+/// Questions to one Modbus unit. Unit 0 is the broadcast: writes only, done when they are sent.
+#[derive(Debug)]
+pub struct Modbus<'c, S> {
+    client: &'c mut Client<S>,
+    unit: u8,
+}
+
+impl<'c, S> Modbus<'c, S> {
+    pub(super) const fn new(client: &'c mut Client<S>, unit: u8) -> Self {
+        Self { client, unit }
+    }
+}
+
+impl<S: Read + Write> Modbus<'_, S> {
+    /// 0x01.
+    ///
+    /// # Errors
+    /// [`Error`]. So for every method here.
+    pub fn read_coils(&mut self, start: u16, quantity: u16) -> Result<Vec<bool>, Error> {
+        let range = Range::new(start, quantity);
+        Ok(unpack(&self.read(&Request::ReadCoils(range))?, quantity))
+    }
+
+    /// 0x02.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn read_discrete_inputs(&mut self, start: u16, quantity: u16) -> Result<Vec<bool>, Error> {
+        let range = Range::new(start, quantity);
+        Ok(unpack(&self.read(&Request::ReadDiscreteInputs(range))?, quantity))
+    }
+
+    /// 0x03.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn read_holding_registers(&mut self, start: u16, quantity: u16) -> Result<Vec<u16>, Error> {
+        let range = Range::new(start, quantity);
+        Ok(registers(&self.read(&Request::ReadHoldingRegisters(range))?).collect())
+    }
+
+    /// 0x04.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn read_input_registers(&mut self, start: u16, quantity: u16) -> Result<Vec<u16>, Error> {
+        let range = Range::new(start, quantity);
+        Ok(registers(&self.read(&Request::ReadInputRegisters(range))?).collect())
+    }
+
+    /// 0x05.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn write_coil(&mut self, address: u16, on: bool) -> Result<(), Error> {
+        let value = if on { COIL_ON } else { COIL_OFF };
+        self.write(&Request::WriteSingleCoil { address, value })
+    }
+
+    /// 0x06.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn write_register(&mut self, address: u16, value: u16) -> Result<(), Error> {
+        self.write(&Request::WriteSingleRegister { address, value })
+    }
+
+    /// 0x0F.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn write_coils(&mut self, start: u16, values: &[bool]) -> Result<(), Error> {
+        let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
+        let mut data = vec![0u8; bytes_of_bits(quantity)];
+        for (index, _) in values.iter().enumerate().filter(|(_, on)| **on) {
+            data[index / 8] |= 1 << (index % 8);
+        }
+        self.write(&Request::WriteMultipleCoils { range: Range::new(start, quantity), data: &data })
+    }
+
+    /// 0x10.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn write_registers(&mut self, start: u16, values: &[u16]) -> Result<(), Error> {
+        let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
+        let data: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
+        self.write(&Request::WriteMultipleRegisters { range: Range::new(start, quantity), data: &data })
+    }
+
+    /// 0x03 for values of two registers, low word first, as an NXI-6201 has them.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn read_values(&mut self, start: u16, count: u16) -> Result<Vec<u32>, Error> {
+        let words = self.read_holding_registers(start, count.checked_mul(2).ok_or(Error::Question)?)?;
+        let pairs = words.as_chunks::<2>().0.iter();
+        Ok(pairs.map(|[low, high]| u32::from(*high) << 16 | u32::from(*low)).collect())
+    }
+
+    /// 0x10 for values of two registers, low word first, as an NXI-6201 has them.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn write_values(&mut self, start: u16, values: &[u32]) -> Result<(), Error> {
+        let words: Vec<u16> =
+            values.iter().flat_map(|value| [(value & 0xFFFF) as u16, (value >> 16) as u16]).collect();
+        self.write_registers(start, &words)
+    }
+
+    /// Any request; the answer's protocol data unit.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn request(&mut self, request: &Request<'_>) -> Result<Vec<u8>, Error> {
+        let mut buffer = [0; FRAME_MAX];
+        let frame = encode_request(self.unit, request, &mut buffer).map_err(|_| Error::Question)?;
+        let expected = ExpectedResponse::new(self.unit, request);
+        let ends_at_silence = |frame: &[u8]| expected.is_open() && expected.accepts(frame);
+        let reply = self.client.exchange(frame, &expected, ends_at_silence)?;
+        let pdu = Frame::decode(&reply).map_err(|_| Error::Answer)?.pdu;
+        match Response::decode(pdu).map_err(|_| Error::Answer)? {
+            Response::Exception { exception, .. } => Err(Error::Exception(exception)),
+            _ => Ok(pdu.to_vec()),
+        }
+    }
+
+    fn read(&mut self, request: &Request<'_>) -> Result<Vec<u8>, Error> {
+        match Response::decode(&self.request(request)?) {
+            Ok(Response::Read { data, .. }) => Ok(data.to_vec()),
+            _ => Err(Error::Answer),
+        }
+    }
+
+    fn write(&mut self, request: &Request<'_>) -> Result<(), Error> {
+        if self.unit == BROADCAST {
+            let mut buffer = [0; FRAME_MAX];
+            let frame = encode_request(BROADCAST, request, &mut buffer).map_err(|_| Error::Question)?;
+            return self.client.send(frame);
+        }
+        self.request(request).map(drop)
+    }
+}
+
+fn unpack(data: &[u8], quantity: u16) -> Vec<bool> {
+    (0..quantity).map(|index| bit(data, index)).collect()
+}

@@ -1,0 +1,106 @@
+use super::{Log, SerialLine, motion};
+use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, Requests};
+use jointbus_protocol::ndam9010::{CHANNELS_MAX, Layout, RamModule, Station, StationError};
+use jointbus_protocol::time::{Duration, Instant};
+
+/// The inputs of a module at a moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Inputs {
+    /// Unit address of the module that was asked.
+    pub unit: u8,
+    /// Digital inputs, DI0 in bit 0; channels that the module lacks read 0 at the host.
+    pub digital: u16,
+    /// Analog inputs from AI0.
+    pub analog: [u16; CHANNELS_MAX as usize],
+}
+
+/// An NDAM-9010 station with `N` equal modules on an RS485 line, Modbus RTU. Its inputs follow [`motion`].
+#[derive(Debug)]
+pub struct NdamLine<const N: usize> {
+    deframer: BurstDeframer<{ FRAME_MAX + STRAY_MAX }>,
+    station: Station<RamModule, N>,
+    start_id: u8,
+    plugged: bool,
+    told: Log<Inputs>,
+}
+
+impl<const N: usize> NdamLine<N> {
+    /// A station whose modules have `layout`, the first one at unit `start_id`; `silence` ends what is no request.
+    ///
+    /// # Errors
+    /// [`StationError`] where a station can't have so many modules there.
+    pub fn new(layout: Layout, start_id: u8, silence: Duration) -> Result<Self, StationError> {
+        let station = Station::new(std::array::from_fn(|_| RamModule::new(layout)), start_id)?;
+        let deframer = BurstDeframer::new(silence);
+        Ok(Self { deframer, station, start_id, plugged: true, told: Log::default() })
+    }
+
+    /// The module with this index: its outputs as they are set, its layout, its faults.
+    pub fn module(&mut self, index: usize) -> Option<&mut RamModule> {
+        self.station.modules().get_mut(index)
+    }
+
+    /// Takes the station's plug out (`false`): it hears nothing; or puts it in again.
+    pub const fn set_plugged(&mut self, plugged: bool) {
+        self.plugged = plugged;
+    }
+
+    /// Whether it is plugged in.
+    #[must_use]
+    pub const fn is_plugged(&self) -> bool {
+        self.plugged
+    }
+
+    /// The inputs at the moment of each request that was answered.
+    #[must_use]
+    pub const fn told(&self) -> &Log<Inputs> {
+        &self.told
+    }
+
+    fn answer(&mut self, frame: &[u8], now: Instant, out: &mut Vec<u8>) {
+        if !self.plugged {
+            return;
+        }
+        for (index, module) in self.station.modules().iter_mut().enumerate() {
+            module.inputs = motion::digital_inputs(index, now);
+            module.analog_inputs = motion::analog_inputs(index, now);
+        }
+        let mut reply = [0; FRAME_MAX];
+        let Ok(reply) = self.station.serve(frame, &mut reply) else { return };
+        out.extend_from_slice(reply);
+        let Some(&unit) = reply.first() else { return };
+        let index = usize::from(unit.saturating_sub(self.start_id));
+        if let Some(module) = self.station.modules().get(index) {
+            let inputs = Inputs { unit, digital: module.inputs, analog: module.analog_inputs };
+            self.told.push(now, inputs);
+        }
+    }
+}
+
+impl<const N: usize> SerialLine for NdamLine<N> {
+    fn receive(&mut self, mut bytes: &[u8], now: Instant) -> Vec<u8> {
+        let mut out = Vec::new();
+        // the frame is copied out of the deframer, because answering needs the whole line
+        while let Some(event) = self.deframer.feed(&Requests, &mut bytes, now) {
+            if let Event::Frame(frame) = event {
+                let frame = frame.to_vec();
+                self.answer(&frame, now, &mut out);
+            }
+        }
+        out
+    }
+
+    fn poll(&mut self, now: Instant) -> Vec<u8> {
+        let mut out = Vec::new();
+        if let Some(Event::Frame(frame)) = self.deframer.poll(&Requests, now) {
+            let frame = frame.to_vec();
+            self.answer(&frame, now, &mut out);
+        }
+        out
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        self.deframer.deadline()
+    }
+}

@@ -1,0 +1,122 @@
+use super::{Log, Motion};
+use jointbus_protocol::nst::register::{self, Register};
+use jointbus_protocol::nst::{Daq, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding, Silence};
+use jointbus_protocol::time::Instant;
+
+/// Which of its ports a sensor uses, as its channel register (4.1.10) says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wiring {
+    /// CAN.
+    Can,
+    /// RS485.
+    Rs485,
+}
+
+/// One NST sensor: the protocol crate's dispatcher over registers in memory, moving by its [`Motion`].
+#[derive(Debug)]
+pub struct Sensor {
+    daq: Daq<RamHardware>,
+    motion: Motion,
+    plugged: bool,
+    told: Log<Sample>,
+    silences: Log<Silence>,
+}
+
+impl Sensor {
+    /// A sensor at `address` (its node on CAN), plugged in.
+    #[must_use]
+    pub fn new(address: u8, wiring: Wiring, motion: Motion) -> Self {
+        let mut hardware = RamHardware::new(address);
+        let serial_number = format!("SIM{address:010}");
+        put(&mut hardware, register::SERIAL_NUMBER, serial_number.as_bytes());
+        put(&mut hardware, register::MODEL, b"NST-SIM");
+        put(&mut hardware, register::CHANNEL, &[u8::from(wiring == Wiring::Rs485)]);
+        Self {
+            daq: Daq::new(hardware, SignEncoding::TwosComplement),
+            motion,
+            plugged: true,
+            told: Log::default(),
+            silences: Log::default(),
+        }
+    }
+
+    /// The address in use.
+    #[must_use]
+    pub const fn address(&self) -> u8 {
+        self.daq.address()
+    }
+
+    /// What moves it.
+    #[must_use]
+    pub const fn motion(&self) -> Motion {
+        self.motion
+    }
+
+    /// The dispatcher and its registers.
+    pub const fn daq(&mut self) -> &mut Daq<RamHardware> {
+        &mut self.daq
+    }
+
+    /// Takes the plug out (`false`): the sensor hears nothing; or puts it in again.
+    pub const fn set_plugged(&mut self, plugged: bool) {
+        self.plugged = plugged;
+    }
+
+    /// Whether it is plugged in.
+    #[must_use]
+    pub const fn is_plugged(&self) -> bool {
+        self.plugged
+    }
+
+    /// The samples that it sent: those of reads that took in all six axes.
+    #[must_use]
+    pub const fn told(&self) -> &Log<Sample> {
+        &self.told
+    }
+
+    /// What it did not answer, and why; requests to others on its line included.
+    #[must_use]
+    pub const fn silences(&self) -> &Log<Silence> {
+        &self.silences
+    }
+
+    /// Answers the request with this body through `serve`, which picks the form.
+    pub(super) fn answer<R>(
+        &mut self,
+        body: &[u8],
+        now: Instant,
+        serve: impl FnOnce(&mut Daq<RamHardware>) -> Result<R, Silence>,
+    ) -> Option<R> {
+        if !self.plugged {
+            return None;
+        }
+        self.daq.hardware().sample = self.motion.sample(now);
+        match serve(&mut self.daq) {
+            Ok(reply) => {
+                if Request::decode(body).is_ok_and(|request| reads_all_axes(&request)) {
+                    let sample = self.daq.sample();
+                    self.told.push(now, sample);
+                }
+                Some(reply)
+            }
+            Err(silence) => {
+                self.silences.push(now, silence);
+                None
+            }
+        }
+    }
+}
+
+/// Whether the answer has all six axes in it.
+fn reads_all_axes(request: &Request<'_>) -> bool {
+    let first = usize::from(request.register());
+    let data = usize::from(register::DATA.first);
+    request.function().is_read()
+        && first <= data
+        && first + usize::from(request.length()) >= data + SAMPLE_LENGTH
+}
+
+fn put(hardware: &mut RamHardware, register: Register, value: &[u8]) {
+    let start = usize::from(register.first);
+    hardware.settings[start..][..value.len()].copy_from_slice(value);
+}

@@ -1,0 +1,254 @@
+//! The bridge's engine in this process, with the four ports of the board on TCP sockets, as the emulator has them.
+//!
+//! It is the engine that the firmware runs, without the firmware: no board, no bit times (what a port sends has left
+//! at once), and a CAN bus on which a frame is acknowledged as soon as somebody is connected. A port serves one
+//! connection, the newest.
+
+use crate::clock::Clock;
+use anyhow::{Context, Result, ensure};
+use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause};
+use jointbus_protocol::can::Id;
+use jointbus_protocol::slcan::{self, LineReader, Outcome};
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// How often an idle thread looks whether it is to end.
+const TICK: Duration = Duration::from_millis(20);
+
+/// Longest time until a connection is accepted.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Chunks that wait for the engine; connections are not read beyond that.
+const CHUNKS: usize = 64;
+
+/// A running engine. Dropping it ends its connections and threads.
+#[derive(Debug)]
+pub struct InProcess {
+    addresses: [SocketAddr; Port::ALL.len()],
+    connections: Arc<Connections>,
+    stopped: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+/// Bytes of a port.
+type Chunk = (Port, Vec<u8>);
+
+/// The connection of each port, if there is one.
+#[derive(Debug, Default)]
+struct Connections([Mutex<Option<TcpStream>>; Port::ALL.len()]);
+
+impl InProcess {
+    /// Starts an engine with its default configuration, which reports this package's version.
+    ///
+    /// # Errors
+    /// Where there are no free ports or no threads.
+    pub fn start(clock: Clock) -> Result<Self> {
+        let stopped = Arc::new(AtomicBool::new(false));
+        let connections = Arc::new(Connections::default());
+        let (sender, receiver) = sync_channel(CHUNKS);
+        let mut running = Self {
+            addresses: [SocketAddr::from((Ipv4Addr::LOCALHOST, 0)); Port::ALL.len()],
+            connections: Arc::clone(&connections),
+            stopped: Arc::clone(&stopped),
+            threads: Vec::new(),
+        };
+        for (port, address) in Port::ALL.into_iter().zip(&mut running.addresses) {
+            let listener = TcpListener::bind(*address).context("no free port on 127.0.0.1")?;
+            listener.set_nonblocking(true)?;
+            *address = listener.local_addr()?;
+            let (sender, connections, stopped) =
+                (sender.clone(), Arc::clone(&connections), Arc::clone(&stopped));
+            let serve = move || serve(port, &listener, &connections, &sender, &stopped);
+            running.threads.push(thread::Builder::new().name("port".into()).spawn(serve)?);
+        }
+        let mut driver = Driver::new(clock, connections);
+        let run = move || driver.run(&receiver, &stopped);
+        running.threads.push(thread::Builder::new().name("engine".into()).spawn(run)?);
+        Ok(running)
+    }
+
+    /// Where a port listens.
+    #[must_use]
+    pub const fn address(&self, port: Port) -> SocketAddr {
+        self.addresses[port.index()]
+    }
+
+    /// Connects to a port. What the engine sends from now on is not lost.
+    ///
+    /// # Errors
+    /// Where the engine has ended.
+    pub fn connect(&self, port: Port) -> Result<TcpStream> {
+        let stream = TcpStream::connect(self.address(port))?;
+        stream.set_nodelay(true)?;
+        let here = stream.local_addr()?;
+        let deadline = Instant::now() + PATIENCE;
+        while self.connections.peer(port) != Some(here) {
+            ensure!(Instant::now() < deadline, "the engine does not take the connection");
+            thread::sleep(Duration::from_millis(1));
+        }
+        Ok(stream)
+    }
+}
+
+impl Drop for InProcess {
+    fn drop(&mut self) {
+        self.stopped.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Connections {
+    fn of(&self, port: Port) -> MutexGuard<'_, Option<TcpStream>> {
+        self.0[port.index()].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Who is connected to a port.
+    fn peer(&self, port: Port) -> Option<SocketAddr> {
+        self.of(port).as_ref().and_then(|stream| stream.peer_addr().ok())
+    }
+
+    /// Sends bytes; whether somebody is there to take them.
+    fn send(&self, port: Port, bytes: &[u8]) -> bool {
+        let mut place = self.of(port);
+        let sent = place.as_mut().is_some_and(|stream| stream.write_all(bytes).is_ok());
+        if !sent && let Some(stream) = place.take() {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+        sent
+    }
+}
+
+/// Accepts the connections of a port, and reads the newest one.
+fn serve(
+    port: Port,
+    listener: &TcpListener,
+    connections: &Connections,
+    sender: &SyncSender<Chunk>,
+    stopped: &AtomicBool,
+) {
+    let mut reading: Option<TcpStream> = None;
+    let mut chunk = [0; 4096];
+    while !stopped.load(Ordering::Relaxed) {
+        if let Ok((stream, _)) = listener.accept()
+            && let Ok(reader) = prepare(&stream)
+        {
+            if let Some(former) = connections.of(port).replace(stream) {
+                let _ = former.shutdown(Shutdown::Both);
+            }
+            reading = Some(reader);
+        }
+        let Some(stream) = &mut reading else {
+            thread::sleep(TICK);
+            continue;
+        };
+        match stream.read(&mut chunk) {
+            Ok(length @ 1..) => {
+                if sender.send((port, chunk[..length].to_vec())).is_err() {
+                    return;
+                }
+            }
+            Err(error) if crate::devices::attach::is_pause(error.kind()) => {}
+            Ok(_) | Err(_) => {
+                reading = None;
+                connections.of(port).take();
+            }
+        }
+    }
+}
+
+/// Sets a connection up; a second handle to read it by.
+fn prepare(stream: &TcpStream) -> std::io::Result<TcpStream> {
+    stream.set_nonblocking(false)?;
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(TICK))?;
+    stream.set_write_timeout(Some(Duration::from_secs(1)))?;
+    stream.try_clone()
+}
+
+/// What the firmware is to the engine: carries bytes, frames and the time to and fro.
+struct Driver {
+    engine: Engine,
+    clock: Clock,
+    connections: Arc<Connections>,
+    lines: LineReader<{ slcan::LINE_MAX }>,
+}
+
+impl Driver {
+    fn new(clock: Clock, connections: Arc<Connections>) -> Self {
+        Self { engine: start(clock, ResetCause::PowerOn), clock, connections, lines: LineReader::new() }
+    }
+
+    fn run(&mut self, chunks: &Receiver<Chunk>, stopped: &AtomicBool) {
+        while !stopped.load(Ordering::Relaxed) {
+            match chunks.recv_timeout(self.pause()) {
+                Ok((Port::Can, bytes)) => self.receive_lines(&bytes),
+                Ok((port, bytes)) => self.engine.receive(port, &bytes, self.clock.now()),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            self.engine.poll(self.clock.now());
+            self.send();
+            if self.engine.take_command() == Some(Command::Reboot) {
+                self.engine = start(self.clock, ResetCause::Software);
+            }
+        }
+    }
+
+    /// Time until the engine has something to do by itself.
+    fn pause(&self) -> Duration {
+        let deadline = self.engine.deadline();
+        let due = deadline.map(|at| Duration::from_micros(at.since(self.clock.now()).as_micros()));
+        due.map_or(TICK, |due| due.min(TICK))
+    }
+
+    fn receive_lines(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let Some(Outcome::Line(line)) = self.lines.push(*byte) else { continue };
+            let Ok(slcan::Command::Frame(frame)) = slcan::Command::decode(line) else { continue };
+            self.engine.receive_frame(&frame, self.clock.now());
+            let confirmation = match frame.id() {
+                Id::Standard(_) => slcan::SENT_STANDARD,
+                Id::Extended(_) => slcan::SENT_EXTENDED,
+            };
+            self.connections.send(Port::Can, confirmation);
+        }
+    }
+
+    /// Sends all that the engine has to send.
+    fn send(&mut self) {
+        for port in [Port::Host, Port::Rs485A, Port::Rs485B] {
+            while !self.engine.output(port).is_empty() {
+                // a line has no listener that it knows of: without one, the bytes are gone
+                self.connections.send(port, self.engine.output(port));
+                self.engine.consume(port, self.engine.output(port).len());
+                if port != Port::Host {
+                    self.engine.transmitted(port, self.clock.now());
+                }
+            }
+        }
+        while self.connections.of(Port::Can).is_some()
+            && let Some(frame) = self.engine.next_frame()
+        {
+            let line = slcan::Command::Frame(frame);
+            if self.connections.send(Port::Can, line.encode(&mut [0; slcan::ENCODED_MAX])) {
+                self.engine.frame_sent(self.clock.now());
+            }
+        }
+        if self.engine.wants_abort() {
+            self.engine.frames_aborted(self.clock.now());
+        }
+    }
+}
+
+fn start(clock: Clock, reset_cause: ResetCause) -> Engine {
+    let identity = Identity { version: crate::version(), reset_cause };
+    Engine::new(Network::default(), Limits::default(), identity, clock.now())
+}

@@ -1,0 +1,208 @@
+//! The firmware's image on the emulated STM32F405, with simulated devices on its ports.
+
+#![cfg(unix)]
+
+mod common;
+
+use jointbus_host_tests::bench::{Bench, Bridge, CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
+use jointbus_host_tests::bridge::{self, Limits, port};
+use jointbus_host_tests::client::{self, Client, Error};
+use jointbus_host_tests::emulator::{Emulator, Options, Port};
+use jointbus_protocol::modbus::ExceptionCode;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+/// Only a hang reaches it.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn options() -> Options {
+    Options::new(common::image(), common::plugin())
+}
+
+fn emulator(bench: &Bench) -> &Emulator {
+    match &bench.bridge {
+        Bridge::Emulated(emulator) => emulator,
+        Bridge::InProcess(_) => unreachable!("these tests run the image"),
+    }
+}
+
+#[test]
+fn every_device_is_read_and_written_through_the_image() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    let about = bridge::about(&mut client).unwrap();
+    assert_eq!((about.reset_cause, about.health), (1, 0), "power-on, crystal and CAN are there");
+    for _ in 0..10 {
+        let start = bench.clock().now();
+        let on_can = client.nst(CAN_UNIT).sample().unwrap();
+        let on_serial = client.nst(RS485_A_UNIT).sample().unwrap();
+        let end = bench.clock().now();
+        let mut can = bench.can.lock();
+        assert!(can.sensor(1).unwrap().told().between(start, end).any(|(_, told)| *told == on_can));
+        let mut serial = bench.rs485_a.lock();
+        assert!(serial.sensor(1).unwrap().told().between(start, end).any(|(_, told)| *told == on_serial));
+    }
+    client.modbus(RS485_B_UNIT).write_registers(0x0060, &[1, 2, 3, 4]).unwrap();
+    assert_eq!(bench.rs485_b.lock().module(0).unwrap().analog_outputs[..4], [1, 2, 3, 4]);
+    client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1]).unwrap();
+    assert_eq!(client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap(), [2.5f32.to_bits(), 1]);
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!((counters.received, counters.sent, counters.overruns), (30, 10, 0), "three frames a reply");
+}
+
+#[test]
+fn the_clock_of_the_image_never_jumps() {
+    let start = Instant::now();
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    let mut last = 0;
+    for _ in 0..3000 {
+        let uptime = bridge::about(&mut client).unwrap().uptime_us;
+        assert!(uptime > last, "{last} us, then {uptime} us");
+        last = uptime;
+    }
+    assert!(u128::from(last) <= start.elapsed().as_micros(), "{last} us is more than has passed");
+}
+
+#[test]
+fn reads_and_writes_longer_than_a_can_transfer_are_split() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    let matrix: Vec<u8> = (0..144).collect();
+    client.nst(CAN_UNIT).write(0x00E3, &matrix).unwrap();
+    assert_eq!(client.nst(CAN_UNIT).read(0x00E3, 144).unwrap(), matrix);
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    // 124 and 20 bytes written are 16 and 3 frames, two reads are one each; two acknowledgements, then 16 and 3 frames
+    assert_eq!((counters.sent, counters.received), (16 + 3 + 2, 2 + 16 + 3));
+}
+
+#[test]
+fn an_unplugged_device_is_told_in_time_and_comes_back() {
+    let mut bench = Bench::emulated(&options()).unwrap();
+    bench.client().unwrap().nst(CAN_UNIT).sample().unwrap();
+    let limits = Limits { read_ms: 50, write_ms: 50, hold_off_ms: 50, ..Limits::GENEROUS };
+    bench.set_limits(&limits).unwrap();
+    let mut client = bench.client().unwrap();
+    bench.can.lock().sensor(1).unwrap().set_plugged(false);
+    bench.rs485_a.lock().sensor(1).unwrap().set_plugged(false);
+    bench.rs485_b.lock().set_plugged(false);
+
+    let refused = client.modbus(RS485_B_UNIT).read_coils(0x0200, 8);
+    let expected = ExceptionCode::GatewayTargetDeviceFailedToRespond;
+    assert!(matches!(refused, Err(Error::Exception(code)) if code == expected), "{refused:?}");
+    client.set_timeout(Duration::from_secs(2));
+    assert!(matches!(client.nst(CAN_UNIT).sample(), Err(Error::Timeout)), "NST: silence");
+    assert!(matches!(client.nst(RS485_A_UNIT).sample(), Err(Error::Timeout)), "NST: silence");
+    for port in [port::CAN, port::RS485_A, port::RS485_B] {
+        let counters = bridge::counters(&mut client, port).unwrap();
+        assert_eq!((counters.timeouts, counters.retries), (2, 1), "port {port}");
+    }
+
+    bench.can.lock().sensor(1).unwrap().set_plugged(true);
+    bench.rs485_a.lock().sensor(1).unwrap().set_plugged(true);
+    bench.rs485_b.lock().set_plugged(true);
+    // an attempt may come too late for so short a limit, so it is tried until it is not
+    until(|| client.nst(CAN_UNIT).sample().is_ok());
+    until(|| client.nst(RS485_A_UNIT).sample().is_ok());
+    until(|| client.modbus(RS485_B_UNIT).read_coils(0x0200, 8).is_ok());
+}
+
+#[test]
+fn a_can_frame_that_nobody_acknowledges_is_given_up_and_not_sent_later() {
+    let mut bench = Bench::emulated(&options()).unwrap();
+    bench.client().unwrap().nst(CAN_UNIT).sample().unwrap();
+    bench.set_limits(&Limits { time_to_live_ms: 100, ..Limits::GENEROUS }).unwrap();
+    let mut client = bench.client().unwrap();
+    emulator(&bench).fault("ack 0").unwrap();
+    client.set_timeout(Duration::from_secs(2));
+    assert!(matches!(client.nst(CAN_UNIT).set_zero(), Err(Error::Timeout)));
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!((counters.expired, counters.timeouts), (1, 0));
+    assert!(counters.transmit_errors > 0, "{counters:?}");
+    emulator(&bench).fault("ack 1").unwrap();
+    bench.set_limits(&Limits::GENEROUS).unwrap();
+    let mut client = bench.client().unwrap();
+    let zero = client.nst(CAN_UNIT).read(0x01A7, 24).unwrap();
+    assert_eq!(zero, [0; 24], "the command was never carried out");
+}
+
+#[test]
+fn without_a_crystal_the_image_runs_from_the_internal_oscillator() {
+    let mut options = options();
+    options.crystal = false;
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 1);
+    client.nst(CAN_UNIT).sample().unwrap();
+    client.nst(RS485_A_UNIT).sample().unwrap();
+}
+
+#[test]
+fn a_frame_with_a_data_length_code_above_8_is_eight_bytes_and_no_panic() {
+    let emulator = Emulator::launch(&options()).unwrap();
+    let mut stranger = emulator.connect(Port::Can).unwrap();
+    let stream = emulator.connect(Port::Usart1).unwrap();
+    client::prepare(&stream).unwrap();
+    let mut client = Client::new(stream, Duration::from_millis(500));
+    bridge::wait(&mut client, PATIENCE).unwrap();
+    // to the bridge's node, data length code 15
+    stranger.write_all(b"T00057F10F0102030405060708\r").unwrap();
+    until(|| bridge::counters(&mut client, port::CAN).is_ok_and(|counters| counters.received > 0));
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!((counters.received, counters.foreign), (1, 1));
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "no reset came between");
+}
+
+#[test]
+fn the_reboot_command_is_answered_and_then_carried_out() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
+}
+
+#[test]
+fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
+    let debugger = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut options = options();
+    options.arguments = vec!["-gdb".into(), format!("tcp:{debugger}").into()];
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
+    jump_to_nowhere(debugger);
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
+    client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
+}
+
+/// Sends the processor to an address where nothing is, with the debugger's remote protocol.
+fn jump_to_nowhere(debugger: SocketAddr) {
+    /// Sends a packet and waits for the `reply` to it.
+    fn packet(stream: &mut TcpStream, content: &str, reply: &str) {
+        let sum = content.bytes().fold(0u8, u8::wrapping_add);
+        write!(stream, "${content}#{sum:02x}").unwrap();
+        let mut seen = Vec::new();
+        while !String::from_utf8_lossy(&seen).contains(reply) {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            seen.extend(byte);
+        }
+        stream.write_all(b"+").unwrap();
+    }
+    let mut stream = TcpStream::connect(debugger).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    // connecting stops the processor; register 15 is the program counter, its value in memory order
+    packet(&mut stream, "?", "$");
+    packet(&mut stream, "Pf=000000f0", "$OK#");
+    packet(&mut stream, "D", "$OK#");
+}
+
+fn until(mut reached: impl FnMut() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !reached() {
+        assert!(Instant::now() < deadline, "not reached in {PATIENCE:?}");
+    }
+}
