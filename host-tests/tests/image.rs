@@ -194,8 +194,9 @@ fn jump_to_nowhere(debugger: SocketAddr) {
     }
     let mut stream = TcpStream::connect(debugger).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    // connecting stops the processor; register 15 is the program counter, its value in memory order
-    packet(&mut stream, "?", "$");
+    // connecting stops the processor; registers can be written once their description was read
+    packet(&mut stream, "qXfer:features:read:target.xml:0,fff", "</target>");
+    // register 15 is the program counter, its value in memory order
     packet(&mut stream, "Pf=000000f0", "$OK#");
     packet(&mut stream, "D", "$OK#");
 }

@@ -73,7 +73,7 @@ pub fn transfer(bus: &mut impl CanBus, host: u8, node: u8, body: &[u8], now: Ins
     let mut answer = None;
     for frame in segment(host, node, body).ok()? {
         for reply in bus.receive(&frame, now) {
-            if let Some(Outcome::Complete { source, body }) = reassembler.push(&reply, now).outcome
+            if let Some(Outcome::Complete { source, body, .. }) = reassembler.push(&reply, now).outcome
                 && source == node
             {
                 answer = Some(body.to_vec());

@@ -1,7 +1,7 @@
 use super::{CanBus, Motion, Sensor, Wiring};
-use jointbus_protocol::can::{Frame, Id};
+use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::REPLY_DATA_MAX;
-use jointbus_protocol::nst::can::{Identifier, Outcome, Reassembler, segment};
+use jointbus_protocol::nst::can::{Outcome, Reassembler, segment};
 use jointbus_protocol::nst::serial::REPLY_MAX;
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
@@ -55,15 +55,15 @@ impl NstCan {
 }
 
 impl Node {
-    /// Takes a frame that came for `destination`; adds the answer's frames.
-    fn receive(&mut self, frame: &Frame, destination: u8, now: Instant, out: &mut Vec<Frame>) {
+    /// Takes a frame; adds the answer's frames.
+    fn receive(&mut self, frame: &Frame, now: Instant, out: &mut Vec<Frame>) {
         if !self.sensor.is_plugged() {
             self.reassembler.clear();
             return;
         }
         let node = self.sensor.address();
         let report = self.reassembler.push(frame, now);
-        let Some(Outcome::Complete { source, body }) = report.outcome else { return };
+        let Some(Outcome::Complete { source, destination, body }) = report.outcome else { return };
         let mut buffer = [0; REPLY_MAX];
         let reply = self.sensor.answer(body, now, |daq| {
             let mut data = [0; REPLY_DATA_MAX];
@@ -86,10 +86,8 @@ impl Node {
 impl CanBus for NstCan {
     fn receive(&mut self, frame: &Frame, now: Instant) -> Vec<Frame> {
         let mut out = Vec::new();
-        let Id::Extended(raw) = frame.id() else { return out };
-        let Some(identifier) = Identifier::from_raw(raw) else { return out };
         for node in &mut self.nodes {
-            node.receive(frame, identifier.destination, now, &mut out);
+            node.receive(frame, now, &mut out);
         }
         out
     }

@@ -96,7 +96,7 @@ fn the_counter_has_four_bits() {
         };
         assert_eq!(identifier.frame_type, place, "bit 4 belongs to the type, also in the sixteenth frame");
         let outcome = reassembler.push(frame, Instant::default()).outcome;
-        let whole = Outcome::Complete { source: 1, body: &body };
+        let whole = Outcome::Complete { source: 1, destination: 2, body: &body };
         assert_eq!(outcome, Some(if number == 15 { whole } else { Outcome::More }));
     }
 }

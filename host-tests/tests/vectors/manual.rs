@@ -154,7 +154,7 @@ fn can_row(row: &Row) {
     let Identifier { source, destination, .. } = identifier;
     let mut reassembler = Reassembler::<1>::new(destination, PAUSE);
     let report = reassembler.push(&frame, Instant::default());
-    assert_eq!(report.outcome, Some(Outcome::Complete { source, body: frame.data() }));
+    assert_eq!(report.outcome, Some(Outcome::Complete { source, destination, body: frame.data() }));
     assert_eq!(report.irregularity, None);
     assert_eq!(segment(source, destination, frame.data()).unwrap().collect::<Vec<_>>(), [frame]);
     let encoded = dirty(|buffer| {

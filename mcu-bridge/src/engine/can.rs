@@ -139,11 +139,13 @@ impl CanBus {
             Some(Irregularity::NoContext) => count(&mut around.counters.overruns),
             Some(_) => count(&mut around.counters.dropped_bursts),
         }
-        let Some(Outcome::Complete { source, body }) = outcome else { return };
+        let Some(Outcome::Complete { source, destination, body }) = outcome else { return };
         let Some((flight, expected, quirk)) = self.flight.as_mut().and_then(|flight| {
             let expected = flight.part.expected;
             let quirk = expected.accepts_quirk(body);
-            let fits = source == expected.address() && (quirk || expected.accepts_body(body));
+            let fits = source == expected.address()
+                && destination == self.node
+                && (quirk || expected.accepts_body(body));
             // a device answers only what it has received whole, even if its acknowledgement is told later
             let asked = match flight.phase {
                 Phase::Waiting { .. } => true,

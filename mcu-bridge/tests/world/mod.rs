@@ -150,7 +150,8 @@ impl World {
             return true;
         }
         let (mut data, mut out) = ([0; 250], [0; 252]);
-        let Some(Outcome::Complete { source, body }) = self.reassembler.push(&frame, self.now).outcome else {
+        let Some(Outcome::Complete { source, body, .. }) = self.reassembler.push(&frame, self.now).outcome
+        else {
             return true;
         };
         let address = self.can_daq.address();

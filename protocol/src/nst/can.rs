@@ -130,7 +130,7 @@ impl Iterator for Segments<'_> {
 pub enum Irregularity {
     /// Not an extended data frame with bits 28:24 zero.
     NotNst,
-    /// For another node.
+    /// For another node than this one, or than the frames before it: that transfer is dropped.
     OtherDestination,
     /// Its frame type is in no table.
     UnknownType,
@@ -158,6 +158,8 @@ pub enum Outcome<'a> {
     Complete {
         /// Node that sent it.
         source: u8,
+        /// Node that is meant: this one, or [`BROADCAST`].
+        destination: u8,
         /// The body.
         body: &'a [u8],
     },
@@ -176,6 +178,7 @@ pub struct Report<'a> {
 #[derive(Debug, Clone, Copy)]
 struct Context {
     source: u8,
+    destination: u8,
     /// Number of the next frame; 0 while the context is free.
     counter: u8,
     length: usize,
@@ -184,8 +187,14 @@ struct Context {
 }
 
 impl Context {
-    const FREE: Self =
-        Self { source: 0, counter: 0, length: 0, last: Instant::from_micros(0), body: [0; TRANSFER_MAX] };
+    const FREE: Self = Self {
+        source: 0,
+        destination: 0,
+        counter: 0,
+        length: 0,
+        last: Instant::from_micros(0),
+        body: [0; TRANSFER_MAX],
+    };
 
     const fn is_free(&self) -> bool {
         self.counter == 0
@@ -276,6 +285,8 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
         let expected = if starts { 0 } else { context.counter };
         let irregularity = if !starts && now.since(context.last) > limit {
             Some(Irregularity::Late)
+        } else if !starts && identifier.destination != context.destination {
+            Some(Irregularity::OtherDestination)
         } else if identifier.counter != expected {
             Some(Irregularity::Counter)
         } else if data.is_empty() || (!ends && data.len() != 8) {
@@ -289,6 +300,7 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
         }
         if starts {
             context.length = 0;
+            context.destination = identifier.destination;
         }
         context.counter = identifier.counter.wrapping_add(1);
         context.last = now;
@@ -303,7 +315,8 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
         }
         context.counter = 0;
         let body = context.body.get(..context.length).unwrap_or(&[]);
-        Report { outcome: Some(Outcome::Complete { source: context.source, body }), irregularity }
+        let Context { source, destination, .. } = *context;
+        Report { outcome: Some(Outcome::Complete { source, destination, body }), irregularity }
     }
 }
 
@@ -393,6 +406,7 @@ mod tests {
             Irregularity::NotNst,
         );
         check(&[(raw(0x0001_0310, &[1]), 0)], Irregularity::OtherDestination);
+        check(&[(cut[0], 0), (raw(0x0001_FF41, &[1; 8]), 0)], Irregularity::OtherDestination);
         check(&[(cut[0], 0), (raw(0x0001_0231, &[1]), 0)], Irregularity::UnknownType);
         check(&[(cut[0], 0), (cut[2], 0)], Irregularity::Counter);
         check(&[(raw(0x0001_0211, &[1]), 0)], Irregularity::Counter);
@@ -411,7 +425,7 @@ mod tests {
         let mut reassembler = Reassembler::<2>::new(2, LIMIT);
         let mut found = Vec::new();
         for frame in &mixed {
-            if let Some(Outcome::Complete { source, body }) = reassembler.push(frame, at(0)).outcome {
+            if let Some(Outcome::Complete { source, body, .. }) = reassembler.push(frame, at(0)).outcome {
                 found.push((source, body.to_vec()));
             }
         }
@@ -423,7 +437,7 @@ mod tests {
         let mut reassembler = Reassembler::<1>::new(2, LIMIT);
         reassembler.push(&frames(1, 2, &[1; 24])[0], at(0));
         let report = reassembler.push(&frames(3, 2, &[3; 5])[0], at(11));
-        assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, body: &[3; 5] }));
+        assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, destination: 2, body: &[3; 5] }));
     }
 
     #[test]
