@@ -96,7 +96,7 @@ pub enum Silence {
     BroadcastRead,
     /// Refused.
     Refused(Refusal),
-    /// The reply does not fit the caller's buffer; nothing was done.
+    /// The reply does not fit the caller's buffer; what was asked has been done all the same.
     NoSpace,
 }
 
