@@ -256,6 +256,28 @@ fn unit_247_tells_about_the_bridge() {
 }
 
 #[test]
+fn unit_247_answers_diagnostics_and_tells_what_it_is() {
+    let mut world = World::new();
+    assert_eq!(world.modbus(247, &[8, 0, 0, 0xA5, 0x37], SOON), [8, 0, 0, 0xA5, 0x37], "loopback");
+    assert_eq!(world.modbus(247, &[6, 0, 0, 0, 1], SOON), [0x86, 3]);
+    let mut broken = modbus(247, &[4, 0, 0, 0, 1]);
+    broken[3] ^= 1;
+    world.exchange(&broken, SOON);
+    for (what, count) in [(0x0B, 3), (0x0C, 1), (0x0D, 1), (0x0E, 6), (0x0F, 0), (0x12, 0)] {
+        assert_eq!(world.modbus(247, &[8, 0, what, 0, 0], SOON), [8, 0, what, 0, count], "{what:#x}");
+    }
+    assert_eq!(world.modbus(247, &[8, 0, 0x0A, 0, 0], SOON), [8, 0, 0x0A, 0, 0]);
+    assert_eq!(world.modbus(247, &[8, 0, 0x0C, 0, 0], SOON), [8, 0, 0x0C, 0, 0], "cleared");
+    assert_eq!(world.modbus(247, &[8, 0, 0x01, 0, 0], SOON), [0x88, 1]);
+    assert_eq!(world.modbus(247, &[17], SOON), b"\x11\x0A\xF7\xFFjointbus");
+    let basic = world.modbus(247, &[0x2B, 0x0E, 1, 0], SOON);
+    assert_eq!(basic[..7], [0x2B, 0x0E, 1, 0x82, 0, 0, 3]);
+    assert!(basic.ends_with(env!("CARGO_PKG_VERSION").as_bytes()));
+    assert_eq!(world.modbus(247, &[0x2B, 0x0E, 4, 4], SOON), b"\x2B\x0E\x04\x82\x00\x00\x01\x04\x08Jointbus");
+    assert_eq!(world.modbus(247, &[1, 0, 0, 0, 1], SOON), [0x81, 1]);
+}
+
+#[test]
 fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
     let mut world = World::new();
     let (timeout, apply, confirm) = ([6, 1, 0x15, 0x03, 0xE8], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1]);

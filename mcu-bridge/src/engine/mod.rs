@@ -21,6 +21,7 @@ use jointbus_protocol::ndam9010::{self, ChannelError, Layout, RamModule};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
+use own::Diagnostics;
 use serial::SerialBus;
 use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
 
@@ -48,6 +49,7 @@ pub struct Engine {
     output: Output,
     counters: [Counters; 4],
     reply_times: [ReplyTime; ROUTES],
+    diagnostics: Diagnostics,
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
@@ -77,6 +79,7 @@ impl Engine {
             output: Output::new(),
             counters: [Counters::default(); 4],
             reply_times: [ReplyTime::default(); ROUTES],
+            diagnostics: Diagnostics::default(),
             rs485_a: SerialBus::new(now),
             rs485_b: SerialBus::new(now),
             can: CanBus::new(network.port(Port::Can).node),
@@ -362,13 +365,19 @@ impl Engine {
         body: &[u8],
         now: Instant,
     ) {
-        let Ok(asked) = modbus::Request::decode(body) else { return };
+        let asked = match modbus::Request::decode(body) {
+            Ok(asked) => asked,
+            Err(error) => {
+                let [counters, ..] = &mut self.counters;
+                return self.output.respond(counters, unit, &modbus::server::malformed(error));
+            }
+        };
         let function = asked.function();
-        if route.refuse_writes && !function.is_read() {
+        if route.refuse_writes && !asked.is_read() {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
         if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
-            return self.serve_local(unit, route.bus, &asked, now);
+            return self.serve_local(unit, route.bus, &asked, body, now);
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
@@ -384,7 +393,7 @@ impl Engine {
     }
 
     /// Answers for one of the board's own units.
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, now: Instant) {
+    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
         if !self.output.has_room() {
             return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
         }
@@ -392,7 +401,7 @@ impl Engine {
         let response = match bus {
             Bus::LocalOutputs => self.outputs.dispatch(asked, &mut data),
             Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut data),
-            _ => self.serve_own(asked, &mut data, now),
+            _ => return self.serve_own(unit, pdu, now),
         };
         let [counters, ..] = &mut self.counters;
         self.output.respond(counters, unit, &response);
@@ -401,7 +410,7 @@ impl Engine {
     /// A broadcast of Modbus: writes only, never answered.
     fn broadcast_modbus(&mut self, frame: &[u8], body: &[u8], to: &[Bus], now: Instant) {
         let Ok(asked) = modbus::Request::decode(body) else { return };
-        if asked.function().is_read() {
+        if asked.is_read() {
             return self.refuse(modbus::BROADCAST, None);
         }
         let routes = self.live.routes;

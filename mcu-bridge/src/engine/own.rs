@@ -3,9 +3,9 @@
 use super::Engine;
 use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
 use super::counters::Counters;
-use jointbus_protocol::modbus::{
-    ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
-};
+use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
+use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
+use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -92,34 +92,119 @@ struct Settings {
     limits: Limits,
 }
 
-impl Engine {
-    /// Judges a request to the bridge itself whole, then carries it out whole.
-    pub(super) fn serve_own<'d>(
+/// What function code 08 counts beside the host port's counters.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Diagnostics {
+    /// Requests to the bridge itself.
+    requests: u16,
+    /// Exceptions with which it answered.
+    exceptions: u16,
+}
+
+/// The bridge's registers, at one moment.
+struct Own<'a> {
+    engine: &'a mut Engine,
+    now: Instant,
+}
+
+impl Server for Own<'_> {
+    fn supports(&self, function: FunctionCode) -> bool {
+        matches!(
+            function,
+            FunctionCode::ReadHoldingRegisters
+                | FunctionCode::ReadInputRegisters
+                | FunctionCode::WriteSingleRegister
+                | FunctionCode::WriteMultipleRegisters
+                | FunctionCode::Diagnostics
+                | FunctionCode::ReportServerId
+                | FunctionCode::EncapsulatedInterface
+        )
+    }
+
+    fn read_holding_registers(
         &mut self,
-        request: &Request<'_>,
-        data: &'d mut [u8],
-        now: Instant,
-    ) -> Response<'d> {
-        let function = request.function();
-        let result = match *request {
-            Request::ReadHoldingRegisters(range) => {
-                let (staged, limits) = (&self.staged, &self.limits);
-                fill(range, u16::MAX, data, |address| holding(staged, limits, address))
-                    .map(|data| Response::Read { function, data })
+        range: Range,
+        mut out: RegistersMut<'_>,
+    ) -> Result<(), ExceptionCode> {
+        let (staged, limits) = (&self.engine.staged, &self.engine.limits);
+        out.fill(range.addresses().map(|address| holding(staged, limits, address)));
+        Ok(())
+    }
+
+    fn read_input_registers(&mut self, range: Range, mut out: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+        if !range.within(0, INPUT_LAST) {
+            return Err(ExceptionCode::IllegalDataAddress);
+        }
+        out.fill(range.addresses().map(|address| self.engine.input(address, self.now)));
+        Ok(())
+    }
+
+    fn write_registers(&mut self, range: Range, values: Registers<'_>) -> Result<(), ExceptionCode> {
+        self.engine.write_own(range, values, self.now)
+    }
+
+    fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+        let [host, ..] = &self.engine.counters;
+        let Diagnostics { requests, exceptions } = self.engine.diagnostics;
+        let count = match what {
+            Diagnostic::ReturnQueryData => return Ok(()),
+            _ if data.get(0) != Some(0) => return Err(ExceptionCode::IllegalDataValue),
+            Diagnostic::ClearCounters => {
+                self.engine.clear_counters();
+                return Ok(());
             }
-            Request::ReadInputRegisters(range) => {
-                fill(range, INPUT_LAST, data, |address| self.input(address, now))
-                    .map(|data| Response::Read { function, data })
-            }
-            Request::WriteSingleRegister { address, value } => self
-                .write_own(Range::new(address, 1), &value.to_be_bytes(), now)
-                .map(|()| Response::WriteSingle { function, address, value }),
-            Request::WriteMultipleRegisters { range, data } => {
-                self.write_own(range, data, now).map(|()| Response::WriteMultiple { function, range })
-            }
-            _ => Err(ExceptionCode::IllegalFunction),
+            Diagnostic::BusMessageCount => host.received as u16,
+            Diagnostic::BusCommunicationErrorCount => host.checksum_errors as u16,
+            Diagnostic::BusExceptionErrorCount => exceptions,
+            Diagnostic::ServerMessageCount => requests,
+            // a broadcast does not reach the bridge itself, and everything else it answers
+            Diagnostic::ServerNoResponseCount => 0,
+            Diagnostic::BusCharacterOverrunCount => host.overruns as u16,
+            _ => return Err(ExceptionCode::IllegalFunction),
         };
-        result.unwrap_or_else(|exception| Response::exception(function, exception))
+        data.set(0, count);
+        Ok(())
+    }
+
+    fn server_id(&mut self) -> Result<&[u8], ExceptionCode> {
+        // its unit from the factory, running
+        Ok(b"\xF7\xFFjointbus")
+    }
+
+    fn conformity(&self) -> Conformity {
+        Conformity::RegularIndividual
+    }
+
+    fn identification(&self, object: ObjectId) -> Option<&[u8]> {
+        match object {
+            ObjectId::VendorName | ObjectId::ProductName => Some(b"Jointbus"),
+            ObjectId::ProductCode => Some(b"jointbus-mcu-bridge"),
+            ObjectId::MajorMinorRevision => Some(env!("CARGO_PKG_VERSION").as_bytes()),
+            ObjectId::ModelName => Some(b"NST, NXI-6201 and NDAM-9010 bridge"),
+            ObjectId::UserApplicationName => Some(b"bridge"),
+            ObjectId::VendorUrl | ObjectId::Unknown(_) => None,
+        }
+    }
+}
+
+impl Engine {
+    /// Answers a request to the bridge itself.
+    pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
+        self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
+        let mut response = [0; PDU_MAX];
+        let Ok(response) = server::respond(&mut Own { engine: self, now }, pdu, &mut response) else {
+            return;
+        };
+        if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {
+            self.diagnostics.exceptions = self.diagnostics.exceptions.wrapping_add(1);
+        }
+        let [counters, ..] = &mut self.counters;
+        self.output.relay(counters, unit, response);
+    }
+
+    fn clear_counters(&mut self) {
+        self.counters = Default::default();
+        self.diagnostics = Diagnostics::default();
     }
 
     fn input(&self, address: u16, now: Instant) -> u16 {
@@ -160,14 +245,10 @@ impl Engine {
         }
     }
 
-    fn write_own(&mut self, range: Range, data: &[u8], now: Instant) -> Result<(), ExceptionCode> {
-        check(range, WRITE_REGISTERS_MAX, u16::MAX)?;
-        if data.len() != usize::from(range.quantity).wrapping_mul(2) {
-            return Err(ExceptionCode::IllegalDataValue);
-        }
+    fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
         let mut settings = Settings { staged: self.staged, limits: self.limits };
         let mut command = None;
-        for (address, value) in range.addresses().zip(registers(data)) {
+        for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
                 _ => settings.write(address, value)?,
@@ -204,7 +285,7 @@ impl Engine {
                 self.host.set_silence(self.limits.burst_silence());
             }
             command::REBOOT => self.command = Some(Command::Reboot),
-            command::CLEAR_COUNTERS => self.counters = Default::default(),
+            command::CLEAR_COUNTERS => self.clear_counters(),
             _ => return Err(ExceptionCode::IllegalDataValue),
         }
         Ok(())
@@ -218,30 +299,6 @@ impl Engine {
             self.go_live(self.confirmed, now);
         }
     }
-}
-
-/// Judges addresses and quantity of a request.
-fn check(range: Range, most: u16, last: u16) -> Result<(), ExceptionCode> {
-    if range.quantity == 0 || range.quantity > most {
-        return Err(ExceptionCode::IllegalDataValue);
-    }
-    if range.within(0, last) { Ok(()) } else { Err(ExceptionCode::IllegalDataAddress) }
-}
-
-/// Fills the data of a read.
-fn fill(
-    range: Range,
-    last: u16,
-    data: &mut [u8],
-    value: impl Fn(u16) -> u16,
-) -> Result<&[u8], ExceptionCode> {
-    check(range, READ_REGISTERS_MAX, last)?;
-    let length = usize::from(range.quantity).wrapping_mul(2);
-    let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
-    for (place, address) in data.as_chunks_mut::<2>().0.iter_mut().zip(range.addresses()) {
-        *place = value(address).to_be_bytes();
-    }
-    Ok(data)
 }
 
 /// Word `index` of a value of so many words, high word first.

@@ -26,7 +26,7 @@ impl Expected {
 
     pub(super) const fn is_read(&self) -> bool {
         match self {
-            Self::Modbus(expected) => expected.function().is_read(),
+            Self::Modbus(expected) => expected.is_read(),
             Self::Nst(expected) => expected.function().is_read(),
         }
     }
