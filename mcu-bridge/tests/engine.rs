@@ -136,6 +136,29 @@ fn an_unplugged_device_is_told_in_time_and_comes_back() {
 }
 
 #[test]
+fn a_dead_device_is_refused_at_once_and_probed_until_it_answers() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Rs485B];
+    let read = [4, 0, 0x40, 0, 1];
+    for _ in 0..3 {
+        assert_eq!(world.modbus(32, &read, LATER), [0x84, 0x0B]);
+    }
+    assert_eq!(world.modbus(247, &[4, 2, 12, 0, 1], SOON), [4, 2, 0, 1], "bit 0: the route's first unit");
+    world.pass(LATER);
+    let sent = world.sent.len();
+    assert_eq!(world.modbus(32, &read, Duration::from_millis(900)), [0x84, 0x0B], "the probe");
+    assert_eq!(world.sent.len(), sent + 1, "without retry");
+    world.engine.receive(Port::Host, &modbus(32, &read), world.now);
+    assert_eq!(world.engine.output(Port::Host), modbus(32, &[0x84, 0x0B]), "at once");
+    world.exchange(&[], Duration::from_millis(200));
+    assert_eq!(world.sent.len(), sent + 1);
+    world.unplugged.clear();
+    assert_eq!(world.modbus(32, &read, SOON), [4, 2, 0, 0], "a second later the next one is let through");
+    assert_eq!(world.modbus(247, &[4, 2, 12, 0, 1], SOON), [4, 2, 0, 0]);
+    assert_eq!(world.modbus(32, &[3, 0, 0x60, 0, 1], SOON), [3, 2, 0, 0], "and all the others");
+}
+
+#[test]
 fn writes_are_never_sent_twice() {
     let mut world = World::new();
     world.unplugged = vec![Port::Rs485B];

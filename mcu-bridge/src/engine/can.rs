@@ -95,6 +95,11 @@ impl CanBus {
         result
     }
 
+    /// Whether a request would have to wait for a reply that its unit owes.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
+        self.owed.holds(request, now)
+    }
+
     /// The next frame for the controller; it counts as handed over.
     pub(super) fn next_frame(&mut self) -> Option<Frame> {
         let flight = self.flight.as_mut()?;
@@ -311,7 +316,7 @@ impl CanBus {
         } else {
             let until = sent.after(flight.request.hold_off);
             self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            around.give_up(&flight.request, now);
             self.finish(around);
         }
     }

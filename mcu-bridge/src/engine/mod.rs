@@ -6,6 +6,7 @@ pub mod config;
 mod counters;
 mod host;
 mod own;
+mod quarantine;
 mod serial;
 mod transaction;
 
@@ -22,6 +23,7 @@ use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
 use own::Diagnostics;
+use quarantine::{Admission, Quarantine};
 use serial::SerialBus;
 use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
 
@@ -50,6 +52,7 @@ pub struct Engine {
     counters: [Counters; 4],
     reply_times: [ReplyTime; ROUTES],
     diagnostics: Diagnostics,
+    quarantine: Quarantine,
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
@@ -80,6 +83,7 @@ impl Engine {
             counters: [Counters::default(); 4],
             reply_times: [ReplyTime::default(); ROUTES],
             diagnostics: Diagnostics::default(),
+            quarantine: Quarantine::default(),
             rs485_a: SerialBus::new(now),
             rs485_b: SerialBus::new(now),
             can: CanBus::new(network.port(Port::Can).node),
@@ -349,10 +353,30 @@ impl Engine {
         };
         let function = asked.function().code();
         let request = Request::new(unit, function, Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request
-            && self.send(route.bus, request, now).is_err()
-        {
-            self.refuse(unit, None);
+        if let Some(request) = request {
+            self.admit(&route, request, now);
+        }
+    }
+
+    /// Hands a request to its bus, unless its unit is in quarantine or the queue is full.
+    fn admit(&mut self, route: &Route, mut request: Request, now: Instant) {
+        let (unit, function) = (request.unit, request.function);
+        let waits = match route.bus {
+            Bus::Rs485A => self.rs485_a.holds(&request, now),
+            Bus::Rs485B => self.rs485_b.holds(&request, now),
+            _ => self.can.holds(&request, now),
+        };
+        let refusal = match self.quarantine.admit(unit, waits, &self.limits, now) {
+            Admission::Refused => Some(ExceptionCode::GatewayTargetDeviceFailedToRespond),
+            admission => {
+                if admission == Admission::Probe {
+                    request.retries = 0;
+                }
+                self.send(route.bus, request, now).err().map(|QueueFull| ExceptionCode::ServerDeviceBusy)
+            }
+        };
+        if let Some(exception) = refusal {
+            self.refuse(unit, (!route.protocol.is_nst()).then_some((function, exception)));
         }
     }
 
@@ -385,10 +409,8 @@ impl Engine {
         let content = readdress(frame, remote, &mut buffer);
         let request =
             Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request
-            && self.send(route.bus, request, now).is_err()
-        {
-            self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+        if let Some(request) = request {
+            self.admit(&route, request, now);
         }
     }
 
@@ -484,6 +506,10 @@ impl Engine {
     /// Makes ports and routes live, dropping what waits or is in flight where something changed.
     fn go_live(&mut self, network: Network, now: Instant) {
         let former = core::mem::replace(&mut self.live, network);
+        for (old, new) in former.routes.iter().zip(&network.routes).filter(|(old, new)| old != new) {
+            self.quarantine.forget(old);
+            self.quarantine.forget(new);
+        }
         for (port, bus) in [(Port::Rs485A, Bus::Rs485A), (Port::Rs485B, Bus::Rs485B), (Port::Can, Bus::Can)] {
             let rows = former.routes.iter().zip(&network.routes);
             let moved = rows.into_iter().any(|(old, new)| old != new && (old.bus == bus || new.bus == bus));
@@ -533,16 +559,28 @@ impl Engine {
             Port::Rs485B => (&mut self.rs485_b, rs485_b),
             Port::Host | Port::Can => return None,
         };
-        let host = HostSide { output: &mut self.output, counters: host };
-        let port = self.live.port(port);
-        Some((bus, Surroundings { host, port, counters, reply_times: &mut self.reply_times }))
+        let around = Surroundings {
+            host: HostSide { output: &mut self.output, counters: host },
+            port: self.live.port(port),
+            counters,
+            reply_times: &mut self.reply_times,
+            quarantine: &mut self.quarantine,
+            limits: &self.limits,
+        };
+        Some((bus, around))
     }
 
     fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
         let [host, _, _, counters] = &mut self.counters;
-        let host = HostSide { output: &mut self.output, counters: host };
-        let port = self.live.port(Port::Can);
-        (&mut self.can, Surroundings { host, port, counters, reply_times: &mut self.reply_times })
+        let around = Surroundings {
+            host: HostSide { output: &mut self.output, counters: host },
+            port: self.live.port(Port::Can),
+            counters,
+            reply_times: &mut self.reply_times,
+            quarantine: &mut self.quarantine,
+            limits: &self.limits,
+        };
+        (&mut self.can, around)
     }
 }
 

@@ -218,7 +218,7 @@ impl Engine {
             0x0008 => self.identity.reset_cause.value(),
             0x0009 => self.health_bits(),
             0x0020..=0x009F => self.counter(address.wrapping_sub(0x0020)),
-            0x0200..=0x023F => self.reply_time(address.wrapping_sub(0x0200)),
+            0x0200..=0x023F => self.device_state(address.wrapping_sub(0x0200)),
             _ => 0,
         }
     }
@@ -235,10 +235,14 @@ impl Engine {
         word(port.and_then(counter).unwrap_or(0).into(), 2, offset % 2)
     }
 
-    fn reply_time(&self, offset: u16) -> u16 {
-        let Some(time) = self.reply_times.get(usize::from(offset / 4)) else { return 0 };
+    fn device_state(&self, offset: u16) -> u16 {
+        let index = usize::from(offset / 4);
+        let (Some(time), Some(route)) = (self.reply_times.get(index), self.live.routes.get(index)) else {
+            return 0;
+        };
         let tens = |span: Duration| u16::try_from(span.as_micros() / 10).unwrap_or(u16::MAX);
         match offset % 4 {
+            0 => self.quarantine.mask(route, &self.limits),
             1 => tens(time.last),
             2 => tens(time.largest),
             _ => 0,
@@ -314,6 +318,8 @@ fn holding(staged: &Network, limits: &Limits, address: u16) -> u16 {
             let offset = address.wrapping_sub(0x0010);
             staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
         }
+        0x0040 => limits.quarantine_after.into(),
+        0x0041 => limits.probe_period_ms,
         0x0042 => limits.host_silence_ms,
         0x0043 => limits.burst_silence_100us,
         0x0100..=0x01FF => {
@@ -335,6 +341,14 @@ impl Settings {
                 let offset = address.wrapping_sub(0x0010);
                 let port = self.staged.ports.get_mut(usize::from(offset / 8)).ok_or(unlisted)?;
                 port.set_register(offset % 8, value)
+            }
+            0x0040 => {
+                self.limits.quarantine_after = byte(value)?;
+                Ok(())
+            }
+            0x0041 => {
+                self.limits.probe_period_ms = at_least_1(value)?;
+                Ok(())
             }
             0x0042 => {
                 self.limits.host_silence_ms = value;

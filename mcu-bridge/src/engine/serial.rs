@@ -67,6 +67,11 @@ impl SerialBus {
         result
     }
 
+    /// Whether a request would have to wait for a reply that its unit owes.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
+        self.owed.holds(request, now)
+    }
+
     /// What the port is to send.
     pub(super) fn pending(&self) -> &[u8] {
         match &self.flight {
@@ -225,7 +230,7 @@ impl SerialBus {
             count(&mut around.counters.retries);
             return;
         }
-        flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+        around.give_up(&flight.request, now);
         self.finish(around);
     }
 

@@ -1,8 +1,9 @@
 //! A request on its way over a bus: what it waits for, in which order, and who still owes a reply.
 
-use super::config::{PortConfig, ROUTES, Route};
+use super::config::{Limits, PortConfig, ROUTES, Route};
 use super::counters::{Counters, count};
 use super::host::{FRAME_MAX, Output};
+use super::quarantine::Quarantine;
 use heapless::Vec;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
@@ -143,17 +144,26 @@ pub(super) struct Surroundings<'a> {
     pub(super) port: &'a PortConfig,
     pub(super) counters: &'a mut Counters,
     pub(super) reply_times: &'a mut [ReplyTime; ROUTES],
+    pub(super) quarantine: &'a mut Quarantine,
+    pub(super) limits: &'a Limits,
 }
 
 impl Surroundings<'_> {
     /// Hands the reply to a request to the host.
     pub(super) fn answer(&mut self, request: &Request, content: &[u8], took: Duration) {
         self.host.output.relay(self.host.counters, request.unit, content);
+        self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
             time.last = took;
             time.largest = time.largest.max(took);
         }
+    }
+
+    /// A request was sent, and nobody answered it.
+    pub(super) fn give_up(&mut self, request: &Request, now: Instant) {
+        self.quarantine.unanswered(request.unit, self.limits, now);
+        request.fail(&mut self.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
     }
 }
 
@@ -273,7 +283,8 @@ impl OwedReplies {
         self.0.iter().map(|owed| owed.until).min()
     }
 
-    fn holds(&self, request: &Request, now: Instant) -> bool {
+    /// Whether a request would have to wait for one.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         request.expected.is_some_and(|asked| {
             self.0.iter().any(|owed| now < owed.until && owed.expected.could_answer(&asked))
         })
