@@ -301,6 +301,48 @@ fn unit_247_answers_diagnostics_and_tells_what_it_is() {
 }
 
 #[test]
+fn polling_slots_read_on_time_beside_the_host() {
+    let mut world = World::new();
+    // slot 0: unit 1 each 10 ms; slot 3: unit 16 each 20 ms
+    let slots = [16, 0, 0x50, 0, 8, 16, 0, 1, 0, 100, 0, 0, 0, 0, 0, 0, 0, 0, 0, 16, 0, 200];
+    assert_eq!(world.modbus(247, &slots, Duration::ZERO), [16, 0, 0x50, 0, 8]);
+    world.pass(Duration::from_millis(100));
+    assert_eq!(world.nst(1, &READ, Duration::from_millis(50)), axes(1), "the host is served as well");
+    let sample = |factor: i32| SAMPLE.0.map(|axis| (axis * factor).to_be_bytes()).concat();
+    let (start, slot) = (world.now, *world.engine.slot(0).unwrap());
+    assert!((15..=16).contains(&slot.sequence), "{slot:?}");
+    assert_eq!((slot.missed, slot.failures), (0, 0));
+    assert!(start.since(slot.stamp) < Duration::from_millis(11));
+    let block = world.modbus(247, &[4, 1, 0, 0, 24], Duration::ZERO);
+    let fields = [
+        &[4, 48, 0, 2, 0, 1][..],
+        &slot.sequence.to_be_bytes(),
+        &slot.stamp.as_micros().to_be_bytes(),
+        &[0; 8],
+    ];
+    assert_eq!(block, [fields.concat(), sample(1)].concat());
+    let block = world.modbus(247, &[4, 1, 0x60, 0, 24], Duration::ZERO);
+    assert_eq!(block[2..6], [0, 2, 0, 16]);
+    assert_eq!(block[26..], sample(2));
+
+    world.unplugged = vec![Port::Can];
+    world.pass(Duration::from_millis(300));
+    let slot = *world.engine.slot(0).unwrap();
+    assert!(slot.failures >= 2 && slot.missed > 10, "{slot:?}");
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 1], Duration::ZERO), [4, 2, 0, 3], "stale");
+    let before = world.engine.slot(3).unwrap().sequence;
+    world.unplugged.clear();
+    world.pass(Duration::from_millis(1100));
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 1], Duration::ZERO), [4, 2, 0, 2], "fresh after a probe");
+    let after = world.engine.slot(3).unwrap();
+    assert!((54..=56).contains(&(after.sequence - before)), "the other bus keeps its rate");
+    assert_eq!((after.missed, after.failures), (0, 0));
+
+    assert_eq!(world.modbus(247, &[6, 0, 0x51, 0, 0], Duration::ZERO), [6, 0, 0x51, 0, 0]);
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 4], SOON), [4, 8, 0, 0, 0, 1, 0, 0, 0, 0], "off");
+}
+
+#[test]
 fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
     let mut world = World::new();
     let (timeout, apply, confirm) = ([6, 1, 0x15, 0x03, 0xE8], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1]);
@@ -336,7 +378,8 @@ fn a_configuration_that_does_not_fit_is_refused() {
         (&[6, 1, 0x15, 0, 0][..], 3),
         (&[6, 1, 0x17, 0, 10], 3),
         (&[6, 1, 0x1B, 0, 0], 2),
-        (&[6, 0, 0x50, 0, 1], 2),
+        (&[6, 0, 0x60, 0, 1], 2),
+        (&[6, 0, 0x50, 1, 0], 3),
         (&[16, 1, 0x15, 0, 2, 4, 0, 7, 0, 0], 3),
         (&[16, 1, 0x15, 0, 2, 2, 0, 7], 3),
     ] {

@@ -6,6 +6,7 @@ pub mod config;
 mod counters;
 mod host;
 mod own;
+mod polling;
 mod quarantine;
 mod serial;
 mod transaction;
@@ -23,12 +24,14 @@ use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
 use own::Diagnostics;
+use polling::Polling;
 use quarantine::{Admission, Quarantine};
 use serial::SerialBus;
 use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
 
 pub use counters::Counters;
 pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
+pub use polling::{SLOTS, Slot, SlotState};
 
 /// Channels of the board as an NDAM module.
 pub const LOCAL_IO: Layout =
@@ -53,6 +56,7 @@ pub struct Engine {
     reply_times: [ReplyTime; ROUTES],
     diagnostics: Diagnostics,
     quarantine: Quarantine,
+    polling: Polling,
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
@@ -84,6 +88,7 @@ impl Engine {
             reply_times: [ReplyTime::default(); ROUTES],
             diagnostics: Diagnostics::default(),
             quarantine: Quarantine::default(),
+            polling: Polling::default(),
             rs485_a: SerialBus::new(now),
             rs485_b: SerialBus::new(now),
             can: CanBus::new(network.port(Port::Can).node),
@@ -241,6 +246,12 @@ impl Engine {
         self.counters.get(port.index()).copied().unwrap_or_default()
     }
 
+    /// A polling slot and its newest sample; `None` past the last one.
+    #[must_use]
+    pub fn slot(&self, index: usize) -> Option<&Slot> {
+        self.polling.slot(index)
+    }
+
     /// Replies to reads that came over CAN with function code 0x10, as the NST manual prints them (4.3.2.10).
     #[must_use]
     pub const fn quirks(&self) -> u32 {
@@ -251,6 +262,7 @@ impl Engine {
     pub fn poll(&mut self, now: Instant) {
         self.roll_back(now);
         self.host_silence(now);
+        self.polling.tick(now);
         let event = self.host.poll(&HostFormat(&self.live), now).map(apart);
         if let Some(event) = event {
             self.take(event, now);
@@ -274,6 +286,7 @@ impl Engine {
             self.confirm_until,
             silence.map(|last| last.after(self.host_silence_limit())),
             self.host.deadline(),
+            self.polling.deadline(),
             serial(&self.rs485_a, Port::Rs485A),
             serial(&self.rs485_b, Port::Rs485B),
             self.can.deadline(),
@@ -566,6 +579,9 @@ impl Engine {
             reply_times: &mut self.reply_times,
             quarantine: &mut self.quarantine,
             limits: &self.limits,
+            network: &self.live,
+            bus: if port == Port::Rs485A { Bus::Rs485A } else { Bus::Rs485B },
+            polling: &mut self.polling,
         };
         Some((bus, around))
     }
@@ -579,6 +595,9 @@ impl Engine {
             reply_times: &mut self.reply_times,
             quarantine: &mut self.quarantine,
             limits: &self.limits,
+            network: &self.live,
+            bus: Bus::Can,
+            polling: &mut self.polling,
         };
         (&mut self.can, around)
     }

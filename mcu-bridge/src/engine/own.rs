@@ -3,6 +3,7 @@
 use super::Engine;
 use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
 use super::counters::Counters;
+use super::polling::{Polling, SLOTS, Slot};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
@@ -90,6 +91,8 @@ const INPUT_LAST: u16 = 0x02FF;
 struct Settings {
     staged: Network,
     limits: Limits,
+    /// Unit and period of each polling slot.
+    slots: [(u8, u16); SLOTS],
 }
 
 /// What function code 08 counts beside the host port's counters.
@@ -126,8 +129,7 @@ impl Server for Own<'_> {
         range: Range,
         mut out: RegistersMut<'_>,
     ) -> Result<(), ExceptionCode> {
-        let (staged, limits) = (&self.engine.staged, &self.engine.limits);
-        out.fill(range.addresses().map(|address| holding(staged, limits, address)));
+        out.fill(range.addresses().map(|address| self.engine.holding(address)));
         Ok(())
     }
 
@@ -218,6 +220,7 @@ impl Engine {
             0x0008 => self.identity.reset_cause.value(),
             0x0009 => self.health_bits(),
             0x0020..=0x009F => self.counter(address.wrapping_sub(0x0020)),
+            0x0100..=0x01FF => self.slot_register(address.wrapping_sub(0x0100), now),
             0x0200..=0x023F => self.device_state(address.wrapping_sub(0x0200)),
             _ => 0,
         }
@@ -235,6 +238,25 @@ impl Engine {
         word(port.and_then(counter).unwrap_or(0).into(), 2, offset % 2)
     }
 
+    fn slot_register(&self, offset: u16, now: Instant) -> u16 {
+        let Some(slot) = self.polling.slot(usize::from(offset / 0x20)) else { return 0 };
+        let place = offset % 0x20;
+        match place {
+            0 => slot.state(now).value(),
+            1 => slot.unit.into(),
+            2..=3 => word(slot.sequence.into(), 2, place.wrapping_sub(2)),
+            4..=7 => word(slot.stamp.as_micros(), 4, place.wrapping_sub(4)),
+            8..=9 => word(slot.missed.into(), 2, place.wrapping_sub(8)),
+            10..=11 => word(slot.failures.into(), 2, place.wrapping_sub(10)),
+            12..=23 => {
+                let place = place.wrapping_sub(12);
+                let axis = slot.sample.0.get(usize::from(place / 2)).copied().unwrap_or(0);
+                word(u64::from(axis as u32), 2, place % 2)
+            }
+            _ => 0,
+        }
+    }
+
     fn device_state(&self, offset: u16) -> u16 {
         let index = usize::from(offset / 4);
         let (Some(time), Some(route)) = (self.reply_times.get(index), self.live.routes.get(index)) else {
@@ -250,7 +272,11 @@ impl Engine {
     }
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
-        let mut settings = Settings { staged: self.staged, limits: self.limits };
+        let slots = core::array::from_fn(|index| {
+            let slot = self.polling.slot(index).copied().unwrap_or_default();
+            (slot.unit, slot.period_100us)
+        });
+        let mut settings = Settings { staged: self.staged, limits: self.limits, slots };
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
@@ -263,6 +289,13 @@ impl Engine {
         }
         self.staged = settings.staged;
         self.limits = settings.limits;
+        for (index, ((unit, period), (former_unit, former_period))) in
+            settings.slots.into_iter().zip(slots).enumerate()
+        {
+            if (unit, period) != (former_unit, former_period) {
+                self.polling.set(index, Slot::new(unit, period, now));
+            }
+        }
         self.host.set_silence(self.limits.burst_silence());
         Ok(())
     }
@@ -286,6 +319,7 @@ impl Engine {
             command::DEFAULTS => {
                 self.staged = Network::default();
                 self.limits = Limits::default();
+                self.polling = Polling::default();
                 self.host.set_silence(self.limits.burst_silence());
             }
             command::REBOOT => self.command = Some(Command::Reboot),
@@ -311,22 +345,33 @@ const fn word(value: u64, words: u16, index: u16) -> u16 {
     value.wrapping_shr(place.wrapping_mul(16)) as u16
 }
 
-/// A holding register; what is not listed reads 0.
-fn holding(staged: &Network, limits: &Limits, address: u16) -> u16 {
-    match address {
-        0x0010..=0x002F => {
-            let offset = address.wrapping_sub(0x0010);
-            staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
+impl Engine {
+    /// A holding register; what is not listed reads 0.
+    fn holding(&self, address: u16) -> u16 {
+        let (staged, limits) = (&self.staged, &self.limits);
+        match address {
+            0x0010..=0x002F => {
+                let offset = address.wrapping_sub(0x0010);
+                staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
+            }
+            0x0040 => limits.quarantine_after.into(),
+            0x0041 => limits.probe_period_ms,
+            0x0042 => limits.host_silence_ms,
+            0x0043 => limits.burst_silence_100us,
+            0x0050..=0x005F => {
+                let offset = address.wrapping_sub(0x0050);
+                let slot = self.polling.slot(usize::from(offset / 2));
+                slot.map_or(
+                    0,
+                    |slot| if offset.is_multiple_of(2) { slot.unit.into() } else { slot.period_100us },
+                )
+            }
+            0x0100..=0x01FF => {
+                let offset = address.wrapping_sub(0x0100);
+                staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
+            }
+            _ => 0,
         }
-        0x0040 => limits.quarantine_after.into(),
-        0x0041 => limits.probe_period_ms,
-        0x0042 => limits.host_silence_ms,
-        0x0043 => limits.burst_silence_100us,
-        0x0100..=0x01FF => {
-            let offset = address.wrapping_sub(0x0100);
-            staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
-        }
-        _ => 0,
     }
 }
 
@@ -356,6 +401,15 @@ impl Settings {
             }
             0x0043 => {
                 self.limits.burst_silence_100us = at_least_1(value)?;
+                Ok(())
+            }
+            0x0050..=0x005F => {
+                let offset = address.wrapping_sub(0x0050);
+                let (unit, period) = self.slots.get_mut(usize::from(offset / 2)).ok_or(unlisted)?;
+                match offset % 2 {
+                    0 => *unit = byte(value)?,
+                    _ => *period = value,
+                }
                 Ok(())
             }
             0x0100..=0x01FF => {

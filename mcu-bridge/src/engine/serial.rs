@@ -5,7 +5,6 @@ use super::host::FRAME_MAX;
 use super::transaction::{KINDS, OwedReplies, Queue, QueueFull, Request, Surroundings, Wanted};
 use jointbus_protocol::checksum;
 use jointbus_protocol::deframe::ReplySearch;
-use jointbus_protocol::modbus::ExceptionCode;
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Bytes that the search for a reply looks back on.
@@ -129,7 +128,7 @@ impl SerialBus {
                 count(&mut around.counters.foreign_or_late);
                 self.owed.settle(index);
             } else if let (Some((request, sent)), Some(content)) = (waiting, content(frame)) {
-                around.answer(request, content, now.since(sent));
+                around.answer(request, content, sent, now);
                 self.finish(around);
             }
         }
@@ -171,8 +170,8 @@ impl SerialBus {
     /// Drops everything that waits or is in flight.
     pub(super) fn reset(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
-            around.host.output.release();
+            around.fail(&flight.request);
+            around.release(&flight.request);
         }
         self.queue.clear(&mut around.host);
         self.owed = OwedReplies::new();
@@ -182,20 +181,13 @@ impl SerialBus {
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if self.flight.is_none()
-            && !self.queue.is_empty()
-            && !self.owed.is_full()
-            && around.host.output.has_room()
-        {
-            self.flight = self.queue.next(&self.owed, now).map(|request| Flight {
+        if self.flight.is_none() {
+            self.flight = around.next(&mut self.queue, &self.owed, now).map(|request| Flight {
                 retries_left: request.retries,
                 unanswered: 0,
                 request,
                 phase: Phase::Ready,
             });
-            if self.flight.is_some() {
-                around.host.output.reserve();
-            }
         }
         if let Some(flight) = &mut self.flight
             && flight.phase == Phase::Ready
@@ -214,7 +206,7 @@ impl SerialBus {
             if flight.unanswered == 0 {
                 count(&mut around.counters.expired);
             }
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            around.fail(&flight.request);
             self.finish(around);
         }
     }
@@ -237,7 +229,7 @@ impl SerialBus {
     /// Ends the transaction; what its device left unanswered is owed.
     fn finish(&mut self, around: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.take() else { return };
-        around.host.output.release();
+        around.release(&flight.request);
         if let (Some(expected), Phase::Waiting { sent, .. }) = (flight.request.expected, flight.phase) {
             self.owed.add(expected, flight.unanswered, sent.after(flight.request.hold_off));
         }
@@ -258,7 +250,7 @@ impl SerialBus {
         let found = self.search.at_silence(|frame| expected.accepts(frame));
         if let Some(content) = found.and_then(content) {
             count(&mut around.counters.received);
-            around.answer(request, content, self.busy.since(*sent));
+            around.answer(request, content, *sent, self.busy);
             self.finish(around);
         }
     }

@@ -72,7 +72,11 @@ impl World {
             self.settle();
             match self.engine.deadline().filter(|deadline| *deadline <= end) {
                 Some(deadline) => {
-                    assert!(deadline >= self.now || self.now.since(deadline) < Duration::from_millis(1));
+                    // buses take turns here, so one may hold another up for the length of a frame or two
+                    assert!(
+                        self.now.since(deadline) < Duration::from_millis(5),
+                        "nothing is done about {deadline:?}"
+                    );
                     self.now = self.now.max(deadline).after(Duration::from_micros(1));
                 }
                 None => break,
