@@ -1,5 +1,7 @@
 //! Bounded reader and writer: the one place of this crate that touches raw offsets.
 
+use crate::error::error_text;
+
 /// The input ended before the value did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -155,6 +157,18 @@ impl<'a> Writer<'a> {
     #[must_use]
     pub fn finish(self) -> &'a [u8] {
         self.buffer.get(..self.used).unwrap_or(&[])
+    }
+}
+
+error_text! {
+    Truncated {
+        Truncated => ("the input ends before the value does"),
+    }
+}
+
+error_text! {
+    NoSpace {
+        NoSpace => ("the buffer is too small"),
     }
 }
 
