@@ -190,6 +190,30 @@ fn a_late_reply_is_given_to_no_other_request() {
 }
 
 #[test]
+fn a_port_that_hears_itself_drops_its_echo_and_counts_collisions() {
+    let mut world = World::new();
+    let request = [5, 2, 3, 0xFF, 0];
+    for request in [[6, 0, 0x24, 0, 1], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1]] {
+        assert_eq!(world.modbus(247, &request, SOON), request);
+    }
+    // the echo of this write is what its response would be
+    world.echo = Some(Vec::new());
+    world.unplugged = vec![Port::Rs485B];
+    assert_eq!(world.modbus(32, &request, LATER), [0x85, 0x0B], "an echo is no answer");
+    world.unplugged.clear();
+    assert_eq!(world.modbus(32, &request, LATER), request);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 0);
+    world.echo = Some(vec![0x55; 8]);
+    assert_eq!(world.modbus(32, &request, LATER), request, "answered in spite of it");
+    world.unplugged = vec![Port::Rs485B];
+    world.modbus(32, &request, LATER);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 1, "another was heard");
+    world.echo = None;
+    world.modbus(32, &request, LATER);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 2, "nothing was heard");
+}
+
+#[test]
 fn noise_before_a_reply_is_slid_over() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());

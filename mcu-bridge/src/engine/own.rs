@@ -477,11 +477,7 @@ impl PortConfig {
             }
             2 => self.gap_100us = value,
             3 => self.node = byte(value)?,
-            // echo is not handled yet: what can't be done is refused
-            4 => {
-                self.echo = flag(value)
-                    .and_then(|on| if on { Err(ExceptionCode::IllegalDataValue) } else { Ok(on) })?
-            }
+            4 => self.echo = flag(value)?,
             _ => return Err(ExceptionCode::IllegalDataAddress),
         }
         Ok(())

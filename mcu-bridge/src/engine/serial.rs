@@ -30,6 +30,37 @@ struct Flight {
     retries_left: u8,
     /// Attempts that timed out.
     unanswered: u8,
+    /// What came back of this attempt, where the port hears itself.
+    echo: Echo,
+}
+
+impl Flight {
+    /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
+    fn count_collision(&self, around: &mut Surroundings<'_>) {
+        if around.port.echo && (self.echo.collided || self.echo.heard < self.request.content.len()) {
+            count(&mut around.counters.transmit_errors);
+        }
+    }
+}
+
+/// The bytes that a port hears of what it sends.
+#[derive(Debug, Clone, Copy, Default)]
+struct Echo {
+    /// How many came back.
+    heard: usize,
+    /// One of them was another: somebody else was sending.
+    collided: bool,
+}
+
+impl Echo {
+    /// Takes the echo of `sent` from the front of `bytes`.
+    fn take<'b>(&mut self, sent: &[u8], bytes: &'b [u8]) -> &'b [u8] {
+        let expected = sent.get(self.heard..).unwrap_or(&[]);
+        let (echo, rest) = bytes.split_at_checked(expected.len()).unwrap_or((bytes, &[]));
+        self.collided |= expected.iter().zip(echo).any(|(sent, heard)| sent != heard);
+        self.heard = self.heard.saturating_add(echo.len());
+        rest
+    }
 }
 
 /// A serial bus.
@@ -112,6 +143,12 @@ impl SerialBus {
     /// Takes bytes from the line, the last of which ended at `now`.
     pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, around: &mut Surroundings<'_>) {
         self.busy = now;
+        if let Some(flight) = &mut self.flight
+            && around.port.echo
+            && flight.phase != Phase::Ready
+        {
+            bytes = flight.echo.take(&flight.request.content, bytes);
+        }
         if matches!(&self.flight, Some(Flight { phase: Phase::Sending { .. }, .. })) {
             return;
         }
@@ -185,6 +222,7 @@ impl SerialBus {
             self.flight = around.next(&mut self.queue, &self.owed, now).map(|request| Flight {
                 retries_left: request.retries,
                 unanswered: 0,
+                echo: Echo::default(),
                 request,
                 phase: Phase::Ready,
             });
@@ -196,6 +234,7 @@ impl SerialBus {
             let on_wire = around.port.characters(flight.request.content.len());
             let limit = now.after(on_wire).after(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { handed: 0, limit };
+            flight.echo = Echo::default();
         }
     }
 
@@ -215,6 +254,7 @@ impl SerialBus {
         count(&mut around.counters.timeouts);
         self.discard(around);
         let Some(flight) = &mut self.flight else { return };
+        flight.count_collision(around);
         flight.unanswered = flight.unanswered.saturating_add(1);
         if flight.retries_left > 0 && now < flight.request.expires {
             flight.retries_left = flight.retries_left.saturating_sub(1);
@@ -230,6 +270,9 @@ impl SerialBus {
     fn finish(&mut self, around: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.take() else { return };
         around.release(&flight.request);
+        if flight.request.expected.is_none() {
+            flight.count_collision(around);
+        }
         if let (Some(expected), Phase::Waiting { sent, .. }) = (flight.request.expected, flight.phase) {
             self.owed.add(expected, flight.unanswered, sent.after(flight.request.hold_off));
         }
