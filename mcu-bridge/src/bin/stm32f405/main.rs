@@ -27,6 +27,7 @@ mod app {
     use crate::uart::Uart;
     use crate::watchdog::Watchdog;
     use crate::{clocks, reset};
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
@@ -74,7 +75,7 @@ mod app {
     }
 
     #[init(local = [
-        place: Option<Engine> = None,
+        place: MaybeUninit<Engine> = MaybeUninit::uninit(),
         queues: [Queues; 3] = [Queues::new(), Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
@@ -132,7 +133,7 @@ mod app {
         ]
         .map(|part| part.parse().unwrap_or(0));
         let identity = Identity { version, reset_cause };
-        let engine = cx.local.place.insert(Engine::new(network, Limits::default(), identity, clock.now()));
+        let engine = cx.local.place.write(Engine::new(network, Limits::default(), identity, clock.now()));
         engine.set_health(Health {
             internal_oscillator: !crystal,
             no_can: can.is_none(),
