@@ -159,6 +159,20 @@ fn a_can_frame_that_nobody_acknowledges_is_given_up_and_not_sent_later() {
 }
 
 #[test]
+fn the_image_goes_bus_off_and_returns() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    // 32 errors in a row, eight counts each, are one too many
+    emulator(&bench).fault("err 32").unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!(counters.bus_off, 1, "{counters:?}");
+    assert!(counters.transmit_errors > 0, "{counters:?}");
+    assert_eq!(bridge::about(&mut client).unwrap().health, 0, "it is back");
+}
+
+#[test]
 fn without_a_crystal_the_image_runs_from_the_internal_oscillator() {
     let mut options = options();
     options.crystal = false;

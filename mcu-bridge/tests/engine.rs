@@ -247,6 +247,29 @@ fn a_request_that_nobody_acknowledges_on_can_is_never_sent_late() {
 }
 
 #[test]
+fn after_bus_off_the_controller_returns_later_each_time() {
+    let mut world = World::new();
+    let mut waited = Vec::new();
+    for round in 0..9 {
+        let off = world.now;
+        world.engine.set_bus_off(true, off);
+        assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], Duration::ZERO), [4, 2, 0, 4], "bus-off now");
+        let restart = world.engine.deadline().unwrap();
+        assert!(!world.engine.take_can_restart(off));
+        world.now = restart;
+        assert!(world.engine.take_can_restart(restart) && !world.engine.take_can_restart(restart), "once");
+        waited.push(restart.since(off).as_micros() / 1000);
+        world.engine.set_bus_off(false, restart);
+        if round == 7 {
+            assert_eq!(world.nst(1, &READ, SOON), axes(1));
+        }
+    }
+    assert_eq!(waited, [10, 20, 40, 80, 160, 320, 640, 1000, 10], "a frame that was sent ends the row");
+    assert_eq!(world.engine.counters(Port::Can).bus_off, 9);
+    assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0]);
+}
+
+#[test]
 fn unknown_units_and_broken_frames_end_with_silence() {
     let mut world = World::new();
     assert_eq!(world.exchange(&modbus(99, &[3, 0, 0, 0, 1]), SOON), []);

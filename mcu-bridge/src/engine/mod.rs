@@ -184,18 +184,21 @@ impl Engine {
         }
     }
 
-    /// Whether the CAN controller is bus-off now.
-    pub const fn set_bus_off(&mut self, bus_off: bool) {
-        if bus_off && !self.health.bus_off {
-            let [.., can] = &mut self.counters;
-            count(&mut can.bus_off);
-        }
-        self.health.bus_off = bus_off;
+    /// Whether the CAN controller is bus-off now. It returns only when it is restarted: see [`Engine::take_can_restart`].
+    pub fn set_bus_off(&mut self, bus_off: bool, now: Instant) {
+        let (can, mut around) = self.can_parts();
+        can.set_off(bus_off, now, &mut around);
     }
 
-    /// What the board found out about itself at start-up; whether it is bus-off is told by [`Engine::set_bus_off`].
+    /// Whether the CAN controller is to be restarted after it went bus-off, once a time: after 10 ms, twice as long
+    /// each time in a row, at most 1 s.
+    pub fn take_can_restart(&mut self, now: Instant) -> bool {
+        self.can.take_restart(now)
+    }
+
+    /// What the board found out about itself; that it is bus-off is told by [`Engine::set_bus_off`].
     pub const fn set_health(&mut self, health: Health) {
-        self.health = Health { bus_off: self.health.bus_off, ..health };
+        self.health = health;
     }
 
     /// What is not well.

@@ -51,8 +51,6 @@ pub struct Health {
     pub internal_oscillator: bool,
     /// The CAN controller does not answer.
     pub no_can: bool,
-    /// The CAN controller is bus-off.
-    pub bus_off: bool,
     /// The stored configuration could not be read.
     pub defaulted: bool,
 }
@@ -227,8 +225,8 @@ impl Engine {
     }
 
     fn health_bits(&self) -> u16 {
-        let Health { internal_oscillator, no_can, bus_off, defaulted } = self.health;
-        let bits = [internal_oscillator, no_can, bus_off, defaulted, self.confirm_until.is_some()];
+        let Health { internal_oscillator, no_can, defaulted } = self.health;
+        let bits = [internal_oscillator, no_can, self.can.is_off(), defaulted, self.confirm_until.is_some()];
         bits.iter().rev().fold(0, |word, bit| word << 1 | u16::from(*bit))
     }
 

@@ -235,7 +235,10 @@ mod app {
 
     fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
         let can = can();
-        engine.set_bus_off(bxcan::is_bus_off(can));
+        engine.set_bus_off(bxcan::is_bus_off(can), now);
+        if engine.take_can_restart(now) && bxcan::restart(can).is_err() {
+            engine.set_health(Health { no_can: true, ..engine.health() });
+        }
         if engine.wants_abort() {
             bxcan::abort(can);
             if bxcan::is_empty(can) && CAN_REPORTS.sent.load(Ordering::Relaxed) == 0 {
