@@ -1,0 +1,70 @@
+//! The NDAM station with three modules of any layout: an answer fits its request, who is refused has changed nothing,
+//! and only channels that exist are ever switched.
+#![no_main]
+
+use jointbus_fuzz::{Script, sealed};
+use jointbus_protocol::modbus::rtu::ExpectedResponse;
+use jointbus_protocol::modbus::server::Silence;
+use jointbus_protocol::modbus::{BROADCAST, Request};
+use jointbus_protocol::ndam9010::{ChannelError, Layout, RamModule, Station};
+use libfuzzer_sys::fuzz_target;
+
+const START: u8 = 2;
+
+fuzz_target!(|data: &[u8]| {
+    let mut script = Script(data);
+    let modules: [RamModule; 3] = core::array::from_fn(|_| {
+        let [digital_inputs, digital_outputs, analog_inputs, analog_outputs] =
+            script.array().map(|it| it % 18);
+        RamModule::new(Layout { digital_inputs, digital_outputs, analog_inputs, analog_outputs })
+    });
+    let mut station = Station::new(modules, START).unwrap();
+    while !script.is_empty() {
+        let way = script.byte();
+        let content = script.record();
+        for module in station.modules() {
+            module.fault = match way & 0x0F {
+                0 => Some(ChannelError::Failed),
+                1 => Some(ChannelError::Busy),
+                _ => None,
+            };
+        }
+        let before = outputs(&mut station);
+        let mut out = [0; 300];
+        if way & 0x0F == 2 {
+            let _ = station.serve(content, &mut out);
+        }
+        let frame = sealed(content);
+        match station.serve(&frame, &mut out) {
+            Ok(reply) => {
+                assert!((START..START + 3).contains(&content[0]));
+                assert!(reply.len() <= 256);
+                let refused = reply[1] & 0x80 != 0;
+                match Request::decode(&content[1..]) {
+                    Ok(request) => assert!(ExpectedResponse::new(content[0], &request).accepts(reply)),
+                    Err(_) => assert!(refused),
+                }
+                if refused || content[1] <= 4 {
+                    assert_eq!(before, outputs(&mut station));
+                }
+            }
+            Err(Silence::Broadcast(_)) => assert_eq!(content[0], BROADCAST),
+            Err(_) if way & 0x0F != 2 => assert_eq!(before, outputs(&mut station)),
+            Err(_) => {}
+        }
+        for module in station.modules() {
+            let present = (1u32 << module.layout.digital_outputs.min(16)) - 1;
+            assert_eq!(u32::from(module.outputs) & !present, 0, "a channel that there is not");
+            let analog = usize::from(module.layout.analog_outputs.min(16));
+            assert!(module.analog_outputs[analog..].iter().all(|value| *value == 0));
+        }
+    }
+    station.modules()[0] = RamModule::new(Layout { digital_inputs: 1, ..Layout::default() });
+    let mut out = [0; 300];
+    let reply = station.serve(&sealed(&[START, 2, 0, 0, 0, 1]), &mut out).unwrap();
+    assert_eq!(reply[..4], [START, 2, 1, 1]);
+});
+
+fn outputs(station: &mut Station<RamModule, 3>) -> [(u16, [u16; 16]); 3] {
+    station.modules().each_ref().map(|module| (module.outputs, module.analog_outputs))
+}
