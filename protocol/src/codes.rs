@@ -1,9 +1,16 @@
-//! The macro behind every code table: written once, both directions from one place, the unknown kept.
+//! The macro behind every code table: written once, both directions from one place, the unknown kept. Codes are
+//! bytes where the table names no other type.
 
 macro_rules! code_table {
     (
         $(#[$meta:meta])*
-        $name:ident {
+        $name:ident { $($table:tt)+ }
+    ) => {
+        $crate::codes::code_table! { $(#[$meta])* $name: u8 { $($table)+ } }
+    };
+    (
+        $(#[$meta:meta])*
+        $name:ident: $code_type:ty {
             $($(#[$variant_meta:meta])* $variant:ident = $code:literal,)+
         }
     ) => {
@@ -13,13 +20,13 @@ macro_rules! code_table {
         pub enum $name {
             $($(#[$variant_meta])* #[doc = concat!(" (code ", stringify!($code), ").")] $variant,)+
             /// A code that the table does not have, kept as it came.
-            Unknown(u8),
+            Unknown($code_type),
         }
 
         impl $name {
             /// The value for a code on the wire.
             #[must_use]
-            pub const fn from_code(code: u8) -> Self {
+            pub const fn from_code(code: $code_type) -> Self {
                 match code {
                     $($code => Self::$variant,)+
                     other => Self::Unknown(other),
@@ -28,7 +35,7 @@ macro_rules! code_table {
 
             /// The code on the wire.
             #[must_use]
-            pub const fn code(self) -> u8 {
+            pub const fn code(self) -> $code_type {
                 match self {
                     $(Self::$variant => $code,)+
                     Self::Unknown(code) => code,

@@ -33,6 +33,12 @@ pub trait Format {
 
     /// Whether the frame is a broadcast, which is not taken out of the middle of a burst.
     fn is_broadcast(&self, frame: &[u8]) -> bool;
+
+    /// Whether a valid frame behind up to [`STRAY_MAX`] stray bytes is taken: not where the data of another frame can
+    /// start there.
+    fn forgives_stray_bytes(&self) -> bool {
+        true
+    }
 }
 
 /// Why a burst was dropped.
@@ -182,7 +188,8 @@ impl<const N: usize> BurstDeframer<N> {
             if open && format.is_valid(burst) {
                 return Some(Event::Frame(burst));
             }
-            let fills_the_rest = (1..=STRAY_MAX).filter_map(|stray| burst.get(stray..)).find(|frame| {
+            let stray_max = if format.forgives_stray_bytes() { STRAY_MAX } else { 0 };
+            let fills_the_rest = (1..=stray_max).filter_map(|stray| burst.get(stray..)).find(|frame| {
                 let whole = match frame.is_empty() {
                     true => false,
                     false => match format.length(frame) {

@@ -132,6 +132,19 @@ impl<'a> Writer<'a> {
         self.slice(&value.to_be_bytes())
     }
 
+    /// Takes back all but the first `length` bytes written.
+    pub(crate) fn truncate(&mut self, length: usize) {
+        self.used = self.used.min(length);
+    }
+
+    /// Writes over bytes that were written from `at` on; what does not lie there changes nothing.
+    pub(crate) fn patch(&mut self, at: usize, bytes: &[u8]) {
+        let end = at.saturating_add(bytes.len());
+        if let Some(place) = self.buffer.get_mut(..self.used).and_then(|written| written.get_mut(at..end)) {
+            place.copy_from_slice(bytes);
+        }
+    }
+
     /// What has been written so far.
     #[must_use]
     pub fn written(&self) -> &[u8] {

@@ -336,21 +336,7 @@ fn following_part(request: &Request, moved: u8) -> Option<Part> {
 
 /// The transfer that starts behind so many bytes of a request.
 fn part(request: &Request, moved: u8) -> Option<Part> {
-    let whole = nst::Request::decode(&request.content).ok()?;
-    let register = whole.register().wrapping_add(moved.into());
-    let left = whole.length().checked_sub(moved)?;
-    let part = match whole {
-        nst::Request::Write { data, .. } => {
-            let rest = data.get(usize::from(moved)..)?;
-            nst::Request::Write { register, data: rest.get(..can::WRITE_MAX).unwrap_or(rest) }
-        }
-        nst::Request::Command { function, .. } if function.is_read() => {
-            let most = u8::try_from(can::READ_MAX).unwrap_or(u8::MAX);
-            nst::Request::Command { function, register, length: left.min(most) }
-        }
-        // other commands move nothing, whatever their length says
-        command @ nst::Request::Command { .. } => command,
-    };
+    let part = can::part(&nst::Request::decode(&request.content).ok()?, moved)?;
     let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
     let mut body = Vec::new();
     body.resize(can::TRANSFER_MAX, 0).ok()?;

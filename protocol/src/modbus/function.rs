@@ -42,7 +42,25 @@ impl FunctionCode {
     /// Set in the function code of an exception response.
     pub const EXCEPTION_FLAG: u8 = 0x80;
 
-    /// Whether this only reads. What is not known counts as a write.
+    /// Whether this is one of the eight that most servers have: 01 to 06, 0F and 10.
+    #[must_use]
+    #[inline]
+    pub const fn is_basic(self) -> bool {
+        matches!(
+            self,
+            Self::ReadCoils
+                | Self::ReadDiscreteInputs
+                | Self::ReadHoldingRegisters
+                | Self::ReadInputRegisters
+                | Self::WriteSingleCoil
+                | Self::WriteSingleRegister
+                | Self::WriteMultipleCoils
+                | Self::WriteMultipleRegisters
+        )
+    }
+
+    /// Whether this only reads. What is not known counts as a write; [`Request::is_read`](super::Request::is_read)
+    /// knows more of function code 2B.
     #[must_use]
     pub const fn is_read(self) -> bool {
         matches!(
@@ -80,5 +98,41 @@ code_table! {
         GatewayPathUnavailable = 0x0A,
         /// Gateway target device failed to respond
         GatewayTargetDeviceFailedToRespond = 0x0B,
+    }
+}
+
+code_table! {
+    /// What function code 08 is to do (6.8.1).
+    Diagnostic: u16 {
+        /// Return query data
+        ReturnQueryData = 0x0000,
+        /// Restart communications option
+        RestartCommunications = 0x0001,
+        /// Return diagnostic register
+        ReturnDiagnosticRegister = 0x0002,
+        /// Change ASCII input delimiter
+        ChangeAsciiDelimiter = 0x0003,
+        /// Force listen only mode: never answered
+        ForceListenOnly = 0x0004,
+        /// Clear counters and diagnostic register
+        ClearCounters = 0x000A,
+        /// Return bus message count
+        BusMessageCount = 0x000B,
+        /// Return bus communication error count
+        BusCommunicationErrorCount = 0x000C,
+        /// Return bus exception error count
+        BusExceptionErrorCount = 0x000D,
+        /// Return server message count
+        ServerMessageCount = 0x000E,
+        /// Return server no response count
+        ServerNoResponseCount = 0x000F,
+        /// Return server NAK count
+        ServerNakCount = 0x0010,
+        /// Return server busy count
+        ServerBusyCount = 0x0011,
+        /// Return bus character overrun count
+        BusCharacterOverrunCount = 0x0012,
+        /// Clear overrun counter and flag
+        ClearOverrunCounter = 0x0014,
     }
 }

@@ -1,13 +1,20 @@
-//! Modbus: requests and responses as values ("Modbus Application Protocol Specification V1.1b3"), and their
-//! RTU framing ("Modbus over Serial Line V1.02").
+//! Modbus: requests and responses as values ("Modbus Application Protocol Specification V1.1b3"), their framing on a
+//! serial line, [`rtu`] and [`ascii`] ("Modbus over Serial Line V1.02"), and on [`tcp`] ("Messaging on TCP/IP
+//! Implementation Guide V1.0b"), and the [`server`] that answers them.
 
+pub mod ascii;
+mod expected;
 mod function;
+pub mod identification;
+pub mod line;
 mod request;
 mod response;
 pub mod rtu;
 pub mod server;
+pub mod tcp;
 
-pub use function::{ExceptionCode, FunctionCode};
+pub use expected::ExpectedResponse;
+pub use function::{Diagnostic, ExceptionCode, FunctionCode};
 pub use request::{Request, RequestError};
 pub use response::{Response, ResponseError};
 
@@ -28,6 +35,9 @@ pub const WRITE_BITS_MAX: u16 = 1968;
 
 /// Most registers in one write (6.12).
 pub const WRITE_REGISTERS_MAX: u16 = 123;
+
+/// Most registers written by function code 17 (6.17), which reads up to [`READ_REGISTERS_MAX`].
+pub const READ_WRITE_REGISTERS_MAX: u16 = 121;
 
 /// Value of function code 05 that switches a coil on.
 pub const COIL_ON: u16 = 0xFF00;
@@ -88,4 +98,10 @@ pub fn bit(data: &[u8], index: u16) -> bool {
 #[must_use]
 pub const fn bytes_of_bits(quantity: u16) -> usize {
     quantity.div_ceil(8) as usize
+}
+
+/// What function code 16 makes of a register (6.16).
+#[must_use]
+pub const fn masked(value: u16, and: u16, or: u16) -> u16 {
+    value & and | or & !and
 }

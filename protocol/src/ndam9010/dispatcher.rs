@@ -170,7 +170,7 @@ pub fn dispatch<'d>(module: &mut impl Module, request: &Request<'_>, data: &'d m
         Request::WriteMultipleRegisters { range, data } => {
             write_registers(module, range, data).map(|()| Response::WriteMultiple { function, range })
         }
-        Request::Other { .. } => Err(ExceptionCode::IllegalFunction),
+        _ => Err(ExceptionCode::IllegalFunction),
     };
     result.unwrap_or_else(|exception| Response::exception(function, exception))
 }
@@ -405,7 +405,8 @@ mod tests {
             assert_eq!(ask(&mut module, pdu), Err(VALUE), "{pdu:x?}");
         }
         assert_eq!(ask(&mut module, &[7]), Err(1));
-        assert_eq!(ask(&mut module, &[0x17, 0, 0]), Err(1));
+        assert_eq!(ask(&mut module, &[0x17, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0, 0]), Err(1));
+        assert_eq!(ask(&mut module, &[0x41, 0, 0]), Err(1));
     }
 
     #[test]

@@ -3,9 +3,11 @@
 
 mod dispatcher;
 pub mod register;
+pub mod settings;
 mod station;
 
 pub use dispatcher::{CHANNELS_MAX, ChannelError, Layout, Module, RamModule, dispatch};
+pub use settings::Settings;
 pub use station::{Station, StationError};
 
 /// Most modules of a station.

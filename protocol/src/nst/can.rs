@@ -3,6 +3,7 @@
 //! Identifier: bits 28:24 zero, 23:16 source node, 15:8 destination node, 7:4 frame type, 3:0 counter. The manual
 //! lets type and counter share bit 4; sixteen frames of eight bytes are exactly its 128 bytes, so the counter is 3:0.
 
+use super::Request;
 use crate::can::{Frame, Id};
 use crate::codes::code_table;
 use crate::time::{Duration, Instant};
@@ -78,6 +79,28 @@ impl Identifier {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TransferLength;
+
+/// The request that moves what one transfer can hold of `request`, behind the first `moved` bytes; `None` when all has
+/// been moved. A command that moves nothing is one transfer.
+#[must_use]
+pub fn part<'a>(request: &Request<'a>, moved: u8) -> Option<Request<'a>> {
+    let (length, reads) = (request.length(), request.function().is_read());
+    if moved > 0 && moved >= length {
+        return None;
+    }
+    let register = request.register().wrapping_add(moved.into());
+    match *request {
+        Request::Write { data, .. } => {
+            let rest = data.get(usize::from(moved)..)?;
+            Some(Request::Write { register, data: rest.get(..WRITE_MAX).unwrap_or(rest) })
+        }
+        Request::Command { function, .. } if reads => {
+            let most = u8::try_from(READ_MAX).unwrap_or(u8::MAX);
+            Some(Request::Command { function, register, length: length.saturating_sub(moved).min(most) })
+        }
+        Request::Command { .. } => (moved == 0).then_some(*request),
+    }
+}
 
 /// The frames of one transfer, in order.
 #[derive(Debug, Clone)]
@@ -363,6 +386,31 @@ mod tests {
         }
         assert_eq!(segment(1, 2, &[]).err(), Some(TransferLength));
         assert_eq!(segment(1, 2, &[0; 129]).err(), Some(TransferLength));
+    }
+
+    #[test]
+    fn requests_are_split_into_parts_that_fit_a_transfer() {
+        let data = [7; 249];
+        for length in 0..=249u8 {
+            let write = Request::Write { register: 0x10, data: &data[..length.into()] };
+            for request in [Request::read(0x10, length), write] {
+                let (mut moved, mut parts) = (0u8, 0);
+                while let Some(part) = part(&request, moved) {
+                    assert_eq!(part.register(), 0x10 + u16::from(moved));
+                    assert!(part.length() <= if part.function().is_read() { 126 } else { 124 });
+                    moved += part.length();
+                    parts += 1;
+                    if length == 0 {
+                        break;
+                    }
+                }
+                assert_eq!((moved, parts <= 3), (length, true));
+            }
+        }
+        let command =
+            Request::Command { function: super::super::FunctionCode::SetZero, register: 0, length: 200 };
+        assert_eq!(part(&command, 0), Some(command));
+        assert_eq!(part(&command, 200), None);
     }
 
     #[test]

@@ -1,9 +1,10 @@
-use super::register::{self, Access, SETTINGS_LENGTH};
+use super::can::{self, Segments};
+use super::register::{self, Access, SETTINGS_LENGTH, Values};
 use super::{
-    ADDRESS_MAX, ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, Reply, Request,
-    SAMPLE_LENGTH, Sample, SignEncoding, serial, stream,
+    ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, Reply, Request, SAMPLE_LENGTH,
+    Sample, SignEncoding, serial, stream,
 };
-use crate::wire::NoSpace;
+use crate::wire::{NoSpace, Writer};
 
 /// The settings could not be stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,7 +97,7 @@ pub enum Silence {
     BroadcastRead,
     /// Refused.
     Refused(Refusal),
-    /// The reply does not fit the caller's buffer; nothing was done.
+    /// The reply does not fit the caller's buffer; what was asked has been done all the same.
     NoSpace,
 }
 
@@ -179,6 +180,28 @@ impl<H: Hardware> Daq<H> {
         let mut data = [0; REPLY_DATA_MAX];
         let reply = self.serve(address, body, &mut data)?;
         stream::encode_reply(address, &reply, out).map_err(|NoSpace| Silence::NoSpace)
+    }
+
+    /// Answers a transfer on CAN from node `source` to node `destination`: the frames of the answer, whose body is put
+    /// into `buffer`.
+    ///
+    /// What does not fit one transfer is refused whole: a master asks for it in several (4.2.1.2).
+    ///
+    /// # Errors
+    /// [`Silence`]: why there is no answer.
+    pub fn serve_can<'b>(
+        &mut self,
+        source: u8,
+        destination: u8,
+        body: &[u8],
+        buffer: &'b mut [u8; can::TRANSFER_MAX],
+    ) -> Result<Segments<'b>, Silence> {
+        let node = self.active.address;
+        let mut data = [0; can::READ_MAX];
+        let reply = self.serve(destination, body, &mut data)?;
+        let mut writer = Writer::new(buffer);
+        reply.encode(&mut writer).map_err(|NoSpace| Silence::NoSpace)?;
+        can::segment(node, source, writer.finish()).map_err(|can::TransferLength| Silence::NoSpace)
     }
 
     /// Answers the body of a request to `address`, which on CAN is the destination node.
@@ -273,24 +296,22 @@ impl<H: Hardware> Daq<H> {
         let mut settings = *self.hardware.settings();
         let place = settings.iter_mut().skip(usize::from(first));
         place.zip(data).for_each(|(byte, new)| *byte = *new);
-
-        let byte = |register| get(&settings, register).first().copied().unwrap_or(0);
-        let refused = (touched(&register::ADDRESS)
-            && !(ADDRESS_MIN..=ADDRESS_MAX).contains(&byte(register::ADDRESS)))
-            || (touched(&register::CHANNEL) && byte(register::CHANNEL) > 1)
-            || (touched(&register::ETHERNET_MODE) && byte(register::ETHERNET_MODE) > 1)
-            || (touched(&register::CAN_RATE)
-                && !register::CAN_RATES.contains(&get_u32(&settings, register::CAN_RATE)));
-        if refused {
-            return Err(Refusal::Value);
-        }
-        // "returns to the default 115200" (4.1.4, 4.1.6): acknowledged all the same
-        for (port, bauds) in [
-            (register::UART1_BAUD, &register::UART1_BAUDS[..]),
-            (register::UART2_BAUD, &register::UART2_BAUDS),
-        ] {
-            if touched(&port) && !bauds.contains(&get_u32(&settings, port)) {
-                put(&mut settings, port, &register::DEFAULT_BAUD.to_le_bytes());
+        for register in register::TABLE.iter().filter(|register| touched(register)) {
+            let fits = match register.values {
+                Values::Any => true,
+                Values::Between(least, most) => {
+                    get(&settings, *register).iter().all(|byte| (least..=most).contains(byte))
+                }
+                Values::OneOf(known) => known.contains(&get_u32(&settings, *register)),
+                Values::OneOfOrDefault(known) => {
+                    if !known.contains(&get_u32(&settings, *register)) {
+                        put(&mut settings, *register, &register::DEFAULT_BAUD.to_le_bytes());
+                    }
+                    true
+                }
+            };
+            if !fits {
+                return Err(Refusal::Value);
             }
         }
         self.hardware.store(&settings).map_err(|StoreError| Refusal::Store)
@@ -321,7 +342,6 @@ fn put(settings: &mut [u8; SETTINGS_LENGTH], register: register::Register, value
 mod tests {
     use super::*;
     use crate::nst::REPLY_HEADER;
-    use crate::wire::Writer;
     use std::vec::Vec;
 
     fn daq() -> Daq<RamHardware> {
@@ -434,6 +454,20 @@ mod tests {
         assert_eq!(daq.serve(2, &write, &mut data), Err(Silence::OtherAddress));
         daq.restart();
         assert_eq!(daq.address(), 9);
+    }
+
+    #[test]
+    fn transfers_on_can_are_answered_up_to_their_longest() {
+        let mut daq = daq();
+        let mut buffer = [0xEE; can::TRANSFER_MAX];
+        let frames = |daq: &mut Daq<RamHardware>, body: &[u8], buffer: &mut _| {
+            daq.serve_can(2, 1, body, buffer).map(Iterator::count)
+        };
+        assert_eq!(frames(&mut daq, &[3, 2, 0, 18], &mut buffer), Ok(3));
+        assert_eq!(frames(&mut daq, &[3, 0, 0, 126], &mut buffer), Ok(16));
+        assert_eq!(frames(&mut daq, &[3, 0, 0, 127], &mut buffer), Err(Silence::Refused(Refusal::Length)));
+        assert_eq!(frames(&mut daq, &[0x18, 0, 0, 1], &mut buffer), Ok(1));
+        assert_eq!(daq.serve_can(2, 9, &[3, 2, 0, 18], &mut buffer).err(), Some(Silence::OtherAddress));
     }
 
     #[test]

@@ -31,6 +31,20 @@ pub enum Encoding {
     I24Be,
 }
 
+/// Which values a register takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Values {
+    /// All of them.
+    Any,
+    /// From the first to the last, in each byte; anything else is refused.
+    Between(u8, u8),
+    /// One of these numbers; anything else is refused.
+    OneOf(&'static [u32]),
+    /// One of these numbers; anything else is stored as [`DEFAULT_BAUD`] and acknowledged.
+    OneOfOrDefault(&'static [u32]),
+}
+
 /// One row of table 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -43,6 +57,10 @@ pub struct Register {
     pub access: Access,
     /// Encoding.
     pub encoding: Encoding,
+    /// Values that it takes.
+    pub values: Values,
+    /// Value from the factory, where the manual names one.
+    pub default: Option<u32>,
 }
 
 impl Register {
@@ -60,11 +78,22 @@ impl Register {
 }
 
 const fn row(first: u16, length: u16, access: Access, encoding: Encoding) -> Register {
-    Register { first, length, access, encoding }
+    Register { first, length, access, encoding, values: Values::Any, default: None }
+}
+
+impl Register {
+    const fn values(self, values: Values) -> Self {
+        Self { values, ..self }
+    }
+
+    const fn default(self, default: u32) -> Self {
+        Self { default: Some(default), ..self }
+    }
 }
 
 use Access::{Read, ReadWrite};
 use Encoding::{Ascii, I24Be, I32Le, Opaque, U8, U16Le, U32Le};
+use Values::{Between, OneOf, OneOfOrDefault};
 
 /// Used by the system, 0x0000 to 0x00E2.
 pub const SYSTEM_0: Register = row(0x0000, 227, ReadWrite, Opaque);
@@ -74,14 +103,17 @@ pub const USER_MATRIX: Register = row(0x00E3, 144, ReadWrite, Opaque);
 pub const SERIAL_NUMBER: Register = row(0x0173, 16, Read, Ascii);
 /// Model, 10 characters used (4.1.2).
 pub const MODEL: Register = row(0x0183, 16, Read, Ascii);
-/// Address, 0x01 to 0x7F (4.1.3).
-pub const ADDRESS: Register = row(0x0193, 1, ReadWrite, U8);
+/// Address (4.1.3).
+pub const ADDRESS: Register =
+    row(0x0193, 1, ReadWrite, U8).values(Between(super::ADDRESS_MIN, super::ADDRESS_MAX));
 /// Baud rate of UART1, the RS232/RS485 port (4.1.4).
-pub const UART1_BAUD: Register = row(0x0194, 4, ReadWrite, U32Le);
+pub const UART1_BAUD: Register =
+    row(0x0194, 4, ReadWrite, U32Le).values(OneOfOrDefault(&UART1_BAUDS)).default(DEFAULT_BAUD);
 /// Bit rate of CAN in kbit/s (4.1.5).
-pub const CAN_RATE: Register = row(0x0198, 4, ReadWrite, U32Le);
+pub const CAN_RATE: Register = row(0x0198, 4, ReadWrite, U32Le).values(OneOf(&CAN_RATES));
 /// Baud rate of UART2, the USB port (4.1.6).
-pub const UART2_BAUD: Register = row(0x019C, 4, ReadWrite, U32Le);
+pub const UART2_BAUD: Register =
+    row(0x019C, 4, ReadWrite, U32Le).values(OneOfOrDefault(&UART2_BAUDS)).default(DEFAULT_BAUD);
 /// Used by the system.
 pub const SYSTEM_1: Register = row(0x01A0, 1, ReadWrite, Opaque);
 /// IPv4 address in reading order (4.1.7).
@@ -93,11 +125,11 @@ pub const ZERO_POINTS: Register = row(0x01A7, 24, ReadWrite, I32Le);
 /// Used by the system.
 pub const SYSTEM_2: Register = row(0x01BF, 3, ReadWrite, Opaque);
 /// 0 = CAN, 1 = RS485 (4.1.10).
-pub const CHANNEL: Register = row(0x01C2, 1, ReadWrite, U8);
+pub const CHANNEL: Register = row(0x01C2, 1, ReadWrite, U8).values(Between(0, 1));
 /// Used by the system.
 pub const SYSTEM_3: Register = row(0x01C3, 4, ReadWrite, Opaque);
 /// Ethernet mode: 0 = UDP, 1 = TCP server (4.1.11).
-pub const ETHERNET_MODE: Register = row(0x01C7, 1, ReadWrite, U8);
+pub const ETHERNET_MODE: Register = row(0x01C7, 1, ReadWrite, U8).values(Between(0, 1));
 /// Used by the system.
 pub const SYSTEM_4: Register = row(0x01C8, 56, ReadWrite, Opaque);
 /// Data Fx Fy Fz Tx Ty Tz in 18 bytes, the rest 0 (4.1.12).

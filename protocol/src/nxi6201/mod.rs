@@ -3,9 +3,11 @@
 
 mod dispatcher;
 pub mod register;
+mod stored;
 
 pub use dispatcher::{Card, Hardware, RamHardware};
 pub use register::{Channel, External, OutputRange, Register, Settings};
+pub use stored::STORED_LENGTH;
 
 /// Output channels of a card.
 pub const CHANNELS: usize = 4;

@@ -1,8 +1,5 @@
-//! What the device dispatchers and a server's serial line have in common.
-
-use super::rtu::{self, Frame, FrameError};
-use super::{FunctionCode, Request, RequestError, Response};
-use crate::modbus::ExceptionCode;
+use crate::modbus::rtu::{self, Frame, FrameError};
+use crate::modbus::{ExceptionCode, FunctionCode, PDU_MAX, Request, RequestError, Response};
 
 /// To whom a unit address speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,7 +25,10 @@ pub enum Silence {
     Broadcast(Option<ExceptionCode>),
     /// A broadcast that does not write.
     BroadcastRead,
-    /// The response does not fit the caller's buffer; a write has been carried out all the same.
+    /// No server is asked by function code 0 or one above 0x7F: a response of another one, or noise.
+    NoRequest,
+    /// The response does not fit the caller's buffer. A [`Server`](super::Server) has written nothing then; behind
+    /// [`serve_rtu`] a write has been carried out all the same.
     NoSpace,
 }
 
@@ -47,9 +47,9 @@ pub fn serve_rtu<'b>(
     if audience == Audience::Other {
         return Err(Silence::OtherUnit);
     }
-    let mut data = [0; super::PDU_MAX];
+    let mut data = [0; PDU_MAX];
     let response = match Request::decode(pdu) {
-        Ok(request) if audience == Audience::Broadcast && request.function().is_read() => {
+        Ok(request) if audience == Audience::Broadcast && request.is_read() => {
             return Err(Silence::BroadcastRead);
         }
         Ok(request) => dispatch(unit, &request, &mut data),
@@ -64,11 +64,23 @@ pub fn serve_rtu<'b>(
     }
 }
 
-/// The answer to what is no request: exception 03 where a length or byte count does not fit.
+/// The answer to what is no request: exception 03 where a length or byte count does not fit a function code of the
+/// devices in this crate, 01 for the others.
 #[must_use]
 pub const fn malformed(error: RequestError) -> Response<'static> {
+    use FunctionCode as F;
     match error {
-        RequestError::Empty => Response::exception(FunctionCode::Unknown(0), ExceptionCode::IllegalFunction),
-        RequestError::Length(function) => Response::exception(function, ExceptionCode::IllegalDataValue),
+        RequestError::Empty => Response::exception(F::Unknown(0), ExceptionCode::IllegalFunction),
+        RequestError::Length(
+            function @ (F::ReadCoils
+            | F::ReadDiscreteInputs
+            | F::ReadHoldingRegisters
+            | F::ReadInputRegisters
+            | F::WriteSingleCoil
+            | F::WriteSingleRegister
+            | F::WriteMultipleCoils
+            | F::WriteMultipleRegisters),
+        ) => Response::exception(function, ExceptionCode::IllegalDataValue),
+        RequestError::Length(function) => Response::exception(function, ExceptionCode::IllegalFunction),
     }
 }

@@ -1,0 +1,211 @@
+use super::respond::{Server, answer, respond};
+use super::{Audience, Silence};
+use crate::checksum::{self, CRC_LENGTH};
+use crate::modbus::identification::MEI_TYPE;
+use crate::modbus::rtu::{FRAME_MAX, FRAME_MIN, FrameError};
+use crate::modbus::{BROADCAST, FunctionCode, ascii, tcp};
+use crate::wire::{NoSpace, Writer};
+
+/// Answers an RTU frame to `unit`, or to all, into `out`.
+///
+/// A broadcast that writes is carried out and never answered.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn rtu<'b>(
+    server: &mut impl Server,
+    unit: u8,
+    frame: &[u8],
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    rtu_with(checksum::crc16, server, unit, frame, out)
+}
+
+/// [`rtu`] with another way to compute the CRC: [`checksum::crc16_small`] or [`checksum::crc16_bitwise`] where flash
+/// is dearer than time, or a function of the board that uses its CRC unit.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn rtu_with<'b>(
+    crc16: impl Fn(&[u8]) -> u16,
+    server: &mut impl Server,
+    unit: u8,
+    frame: &[u8],
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    if frame.len() < FRAME_MIN || frame.len() > FRAME_MAX {
+        return Err(Silence::Frame(FrameError::Length));
+    }
+    let (Some((content, crc)), Some((&to, _))) =
+        (frame.split_last_chunk::<CRC_LENGTH>(), frame.split_first())
+    else {
+        return Err(Silence::Frame(FrameError::Length));
+    };
+    let audience = audience(unit, to);
+    // a frame for another unit need not be right
+    if audience == Audience::Other {
+        return Err(Silence::OtherUnit);
+    }
+    if crc16(content) != u16::from_le_bytes(*crc) {
+        return Err(Silence::Frame(FrameError::Checksum));
+    }
+    let pdu = content.split_first().map_or(&[][..], |(_, pdu)| pdu);
+    // the CRC must find room after the owner was called
+    let room = out.len().checked_sub(CRC_LENGTH).ok_or(Silence::NoSpace)?;
+    let used = serial(server, to, audience, pdu, out.get_mut(..room).unwrap_or(&mut []))?;
+    let (head, rest) = out.split_at_mut_checked(used).ok_or(Silence::NoSpace)?;
+    let place = rest.first_chunk_mut::<CRC_LENGTH>().ok_or(Silence::NoSpace)?;
+    *place = crc16(head).to_le_bytes();
+    out.get(..used.saturating_add(CRC_LENGTH)).ok_or(Silence::NoSpace)
+}
+
+/// Answers a frame of Modbus ASCII to `unit`, or to all, into `out`: the whole frame in characters.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn ascii<'b>(
+    server: &mut impl Server,
+    unit: u8,
+    frame: &ascii::Frame<'_>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    let audience = audience(unit, frame.unit);
+    if audience == Audience::Other {
+        return Err(Silence::OtherUnit);
+    }
+    // bytes become characters after the owner was called
+    let room = ascii::content_length(out.len());
+    let used = serial(server, frame.unit, audience, frame.pdu, out.get_mut(..room).unwrap_or(&mut []))?;
+    ascii::spread(out, used).map_err(|NoSpace| Silence::NoSpace)
+}
+
+/// Answers a frame of Modbus TCP into `out`. Whether its unit is meant is for the caller to know: most servers answer
+/// every one. There is no broadcast.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn tcp<'b>(
+    server: &mut impl Server,
+    frame: &tcp::Frame<'_>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    let (header, rest) = out.split_at_mut_checked(tcp::HEADER_LENGTH).ok_or(Silence::NoSpace)?;
+    let length = respond(server, frame.pdu, rest)?.len();
+    let filled = tcp::Header::of(frame.transaction, frame.unit, length).map_err(|_| Silence::NoSpace)?;
+    header.copy_from_slice(&filled.to_bytes());
+    out.get(..tcp::HEADER_LENGTH.saturating_add(length)).ok_or(Silence::NoSpace)
+}
+
+const fn audience(unit: u8, to: u8) -> Audience {
+    match to {
+        BROADCAST => Audience::Broadcast,
+        _ if to == unit => Audience::Unit,
+        _ => Audience::Other,
+    }
+}
+
+/// [`Request::is_read`](crate::modbus::Request::is_read), told by the first bytes.
+fn reads(pdu: &[u8]) -> bool {
+    pdu.first().is_some_and(|code| FunctionCode::from_code(*code).is_read())
+        || pdu.starts_with(&[FunctionCode::EncapsulatedInterface.code(), MEI_TYPE])
+}
+
+/// Unit address and data unit of the response; its length.
+fn serial(
+    server: &mut impl Server,
+    to: u8,
+    audience: Audience,
+    pdu: &[u8],
+    out: &mut [u8],
+) -> Result<usize, Silence> {
+    if audience == Audience::Broadcast && reads(pdu) {
+        return Err(Silence::BroadcastRead);
+    }
+    let mut writer = Writer::new(out);
+    writer.u8(to).map_err(|NoSpace| Silence::NoSpace)?;
+    let exception = answer(server, pdu, &mut writer)?;
+    match audience {
+        Audience::Broadcast => Err(Silence::Broadcast(exception)),
+        Audience::Unit | Audience::Other => Ok(writer.written().len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::modbus::rtu::{encode_request, encode_response};
+    use crate::modbus::server::RamTables;
+    use crate::modbus::{ExceptionCode, Range, Request, Response};
+    use std::vec::Vec;
+
+    type Tables = RamTables<0, 0, 4, 0>;
+
+    const WRITE: Request<'_> = Request::WriteSingleRegister { address: 1, value: 0x0203 };
+
+    fn request(unit: u8, request: &Request<'_>) -> Vec<u8> {
+        encode_request(unit, request, &mut [0; FRAME_MAX]).unwrap().to_vec()
+    }
+
+    #[test]
+    fn a_frame_in_a_frame_out_whatever_computes_the_crc() {
+        let (frame, mut out) = (request(7, &WRITE), [0xEE; FRAME_MAX]);
+        let mut tables = Tables::new();
+        assert_eq!(rtu(&mut tables, 7, &frame, &mut out), Ok(&frame[..]));
+        assert_eq!(tables.holding_registers, [0, 0x0203, 0, 0]);
+        for crc in [checksum::crc16, checksum::crc16_small, checksum::crc16_bitwise] {
+            assert_eq!(rtu_with(crc, &mut Tables::new(), 7, &frame, &mut out), Ok(&frame[..]));
+        }
+        let read = request(7, &Request::ReadHoldingRegisters(Range::new(4, 1)));
+        let function = FunctionCode::ReadHoldingRegisters;
+        let refusal = Response::exception(function, ExceptionCode::IllegalDataAddress);
+        let expected = encode_response(7, &refusal, &mut [0; 8]).unwrap().to_vec();
+        assert_eq!(rtu(&mut tables, 7, &read, &mut out), Ok(&expected[..]));
+    }
+
+    #[test]
+    fn silence_has_a_reason() {
+        let (mut tables, mut out) = (Tables::new(), [0; FRAME_MAX]);
+        let mut serve = |frame: &[u8]| rtu(&mut tables, 7, frame, &mut out).map(<[u8]>::to_vec);
+        assert_eq!(serve(&request(8, &WRITE)), Err(Silence::OtherUnit));
+        assert_eq!(serve(&[7, 3, 0]), Err(Silence::Frame(FrameError::Length)));
+        assert_eq!(serve(&[7; 257]), Err(Silence::Frame(FrameError::Length)));
+        assert_eq!(serve(&[7, 3, 0, 0]), Err(Silence::Frame(FrameError::Checksum)));
+        assert_eq!(serve(&request(0, &WRITE)), Err(Silence::Broadcast(None)));
+        let past = Request::WriteSingleRegister { address: 4, value: 0 };
+        let refused = Silence::Broadcast(Some(ExceptionCode::IllegalDataAddress));
+        assert_eq!(serve(&request(0, &past)), Err(refused));
+        let read = Request::ReadHoldingRegisters(Range::new(0, 1));
+        assert_eq!(serve(&request(0, &read)), Err(Silence::BroadcastRead));
+        let other = Request::Other { function: FunctionCode::Unknown(0x83), data: &[2] };
+        assert_eq!(serve(&request(7, &other)), Err(Silence::NoRequest), "the response of another one");
+        assert_eq!(tables.holding_registers, [0, 0x0203, 0, 0], "by broadcast");
+    }
+
+    #[test]
+    fn without_room_for_the_response_nothing_is_written() {
+        let (frame, mut characters) = (request(7, &WRITE), [0; 32]);
+        let (content, _) = frame.split_last_chunk::<CRC_LENGTH>().unwrap();
+        let in_ascii = ascii::Frame { unit: 7, pdu: &content[1..] };
+        let in_tcp = tcp::Frame { transaction: 1, unit: 7, pdu: &content[1..] };
+        let ascii_length = ascii::encode_request(7, &WRITE, &mut characters).unwrap().len();
+        let mut tables = Tables::new();
+        for space in 0..ascii_length {
+            let mut out = [0; 32];
+            if space < frame.len() {
+                assert_eq!(rtu(&mut tables, 7, &frame, &mut out[..space]), Err(Silence::NoSpace));
+            }
+            if space < content.len() + tcp::HEADER_LENGTH - 1 {
+                assert_eq!(tcp(&mut tables, &in_tcp, &mut out[..space]), Err(Silence::NoSpace));
+            }
+            assert_eq!(ascii(&mut tables, 7, &in_ascii, &mut out[..space]), Err(Silence::NoSpace));
+            assert_eq!(tables, Tables::new(), "{space}");
+        }
+        let mut out = [0; 32];
+        assert_eq!(ascii(&mut tables, 7, &in_ascii, &mut out), Ok(&characters[..ascii_length]));
+        assert_eq!(ascii(&mut tables, 9, &in_ascii, &mut out), Err(Silence::OtherUnit));
+        let everyone = ascii::Frame { unit: 0, ..in_ascii };
+        assert_eq!(ascii(&mut tables, 9, &everyone, &mut out), Err(Silence::Broadcast(None)));
+        let expected = [0, 1, 0, 0, 0, 6, 7, 6, 0, 1, 2, 3];
+        assert_eq!(tcp(&mut tables, &in_tcp, &mut out), Ok(&expected[..]));
+    }
+}

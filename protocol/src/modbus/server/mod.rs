@@ -1,0 +1,20 @@
+//! The server's side of Modbus.
+//!
+//! [`Server`] is the trait for an owner of coils, inputs and registers: [`rtu`], [`ascii`] and [`tcp`] turn the frame
+//! of a request into the frame of its response, [`respond`] does so for the data unit alone. A request is judged
+//! whole before the owner is called, once, and the response is written where it is sent from. [`RamTables`] is an
+//! owner with tables in memory.
+//!
+//! [`serve_rtu`] is what the device dispatchers of this crate use, which judge requests by their own manuals.
+
+mod framing;
+mod ram;
+mod respond;
+mod serial;
+mod view;
+
+pub use framing::{ascii, rtu, rtu_with, tcp};
+pub use ram::RamTables;
+pub use respond::{Server, respond};
+pub use serial::{Audience, Silence, malformed, serve_rtu};
+pub use view::{Bits, BitsMut, Registers, RegistersMut};

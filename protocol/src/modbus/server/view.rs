@@ -1,0 +1,268 @@
+use crate::modbus::{bit, bytes_of_bits};
+
+/// The values of a write: registers in the request's data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Registers<'a>(&'a [[u8; 2]]);
+
+impl<'a> Registers<'a> {
+    /// The registers in `data`, each most significant byte first; an odd byte at the end is left out.
+    #[must_use]
+    pub const fn new(data: &'a [u8]) -> Self {
+        Self(data.as_chunks().0)
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether there are none: never so in a request that was judged.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The value at `index`, counted from the first address of the request.
+    #[must_use]
+    pub fn get(&self, index: usize) -> Option<u16> {
+        self.0.get(index).map(|pair| u16::from_be_bytes(*pair))
+    }
+
+    /// The values in order.
+    pub fn iter(&self) -> impl Iterator<Item = u16> + use<'a> {
+        self.0.iter().map(|pair| u16::from_be_bytes(*pair))
+    }
+
+    /// Copies the values to the front of `table`, as many as it has room for.
+    pub fn copy_to(&self, table: &mut [u16]) {
+        table.iter_mut().zip(self.iter()).for_each(|(place, value)| *place = value);
+    }
+}
+
+/// Where a read puts its registers: in the response, 0 until they are set.
+#[derive(Debug)]
+pub struct RegistersMut<'a>(&'a mut [[u8; 2]]);
+
+impl<'a> RegistersMut<'a> {
+    /// Registers that are filled into `data`, most significant byte first; they keep what is there.
+    #[must_use]
+    pub const fn new(data: &'a mut [u8]) -> Self {
+        Self(data.as_chunks_mut().0)
+    }
+
+    /// How many were asked for.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether there are none: never so in a request that was judged.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The value at `index`, counted from the first address of the request.
+    #[must_use]
+    pub fn get(&self, index: usize) -> Option<u16> {
+        self.0.get(index).map(|pair| u16::from_be_bytes(*pair))
+    }
+
+    /// Sets the value at `index`, counted from the first address of the request; past the last nothing happens.
+    pub fn set(&mut self, index: usize, value: u16) {
+        if let Some(pair) = self.0.get_mut(index) {
+            *pair = value.to_be_bytes();
+        }
+    }
+
+    /// Sets the values from the first one on, until either end.
+    pub fn fill(&mut self, values: impl IntoIterator<Item = u16>) {
+        for (pair, value) in self.0.iter_mut().zip(values) {
+            *pair = value.to_be_bytes();
+        }
+    }
+}
+
+/// The values of a write: packed bits in the request's data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bits<'a> {
+    bytes: &'a [u8],
+    quantity: u16,
+}
+
+impl<'a> Bits<'a> {
+    /// The first `quantity` bits of `bytes`, the least significant bit of the first byte first; bits past its end
+    /// are 0.
+    #[must_use]
+    pub const fn new(bytes: &'a [u8], quantity: u16) -> Self {
+        Self { bytes, quantity }
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub const fn len(&self) -> u16 {
+        self.quantity
+    }
+
+    /// Whether there are none: never so in a request that was judged.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.quantity == 0
+    }
+
+    /// The bit at `index`, counted from the first address of the request; `None` past the last.
+    #[must_use]
+    pub fn get(&self, index: u16) -> Option<bool> {
+        (index < self.quantity).then(|| bit(self.bytes, index))
+    }
+
+    /// The bits in order.
+    pub fn iter(&self) -> impl Iterator<Item = bool> + use<'a> {
+        let bytes = self.bytes;
+        (0..self.quantity).map(move |index| bit(bytes, index))
+    }
+
+    /// Copies the bits into a packed table, the first one to bit `first`; bits past its end are left out.
+    pub fn copy_to(&self, table: &mut [u8], first: u16) {
+        for (place, value) in (usize::from(first)..).zip(self.iter()) {
+            let Some(byte) = table.get_mut(place >> 3) else { break };
+            let mask = 1u8 << (place & 7);
+            *byte = if value { *byte | mask } else { *byte & !mask };
+        }
+    }
+}
+
+/// Where a read puts its coils or inputs: packed in the response, 0 until they are set.
+#[derive(Debug)]
+pub struct BitsMut<'a> {
+    bytes: &'a mut [u8],
+    quantity: u16,
+}
+
+impl<'a> BitsMut<'a> {
+    /// `quantity` bits that are filled into `bytes`; they keep what is there.
+    #[must_use]
+    pub const fn new(bytes: &'a mut [u8], quantity: u16) -> Self {
+        Self { bytes, quantity }
+    }
+
+    /// How many were asked for.
+    #[must_use]
+    pub const fn len(&self) -> u16 {
+        self.quantity
+    }
+
+    /// Whether there are none: never so in a request that was judged.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.quantity == 0
+    }
+
+    /// Sets the bit at `index`, counted from the first address of the request; past the last nothing happens.
+    pub fn set(&mut self, index: u16, value: bool) {
+        if index < self.quantity
+            && let Some(byte) = self.bytes.get_mut(usize::from(index >> 3))
+        {
+            let mask = 1u8.wrapping_shl(u32::from(index & 7));
+            *byte = if value { *byte | mask } else { *byte & !mask };
+        }
+    }
+
+    /// Sets the bits from the first one on, until either end.
+    pub fn fill(&mut self, values: impl IntoIterator<Item = bool>) {
+        for (index, value) in (0..self.quantity).zip(values) {
+            self.set(index, value);
+        }
+    }
+
+    /// Sets all bits from a packed table, whose bit `first` becomes the first one; bits past its end are 0.
+    pub fn copy_from(&mut self, table: &[u8], first: u16) {
+        let mut source = table.iter().skip(usize::from(first >> 3)).copied();
+        let mut low = source.next().unwrap_or(0);
+        let used = bytes_of_bits(self.quantity);
+        for byte in self.bytes.iter_mut().take(used) {
+            let high = source.next().unwrap_or(0);
+            let [packed, _] = (u16::from_le_bytes([low, high]) >> (first & 7)).to_le_bytes();
+            *byte = packed;
+            low = high;
+        }
+        // the bits that fill the last byte are 0 (6.1)
+        let filled = self.quantity & 7;
+        if let Some(last) = self.bytes.get_mut(..used).and_then(<[u8]>::last_mut)
+            && filled != 0
+        {
+            *last &= 1u8.wrapping_shl(filled.into()).wrapping_sub(1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn registers_are_seen_and_filled_most_significant_byte_first() {
+        let values = Registers::new(&[1, 2, 3, 4, 5]);
+        assert_eq!((values.len(), values.get(1), values.get(2)), (2, Some(0x0304), None));
+        assert_eq!(values.iter().collect::<Vec<_>>(), [0x0102, 0x0304]);
+        let mut table = [7; 3];
+        values.copy_to(&mut table);
+        assert_eq!(table, [0x0102, 0x0304, 7]);
+
+        let mut data = [0; 6];
+        let mut out = RegistersMut::new(&mut data);
+        out.fill([0x1122, 0x3344]);
+        out.set(2, 0x5566);
+        out.set(3, 0x7788);
+        assert_eq!((out.get(1), out.get(3), out.is_empty()), (Some(0x3344), None, false));
+        assert_eq!(data, [0x11, 0x22, 0x33, 0x44, 0x55, 0x66]);
+    }
+
+    #[test]
+    fn packed_bits_are_copied_from_any_place_like_one_by_one() {
+        let table = [0b1010_0101, 0b0011_1100, 0b1111_0000];
+        for first in 0..30 {
+            for quantity in 1..=24 {
+                let (mut packed, mut single) = ([0xEE; 3], [0; 3]);
+                BitsMut::new(&mut packed, quantity).copy_from(&table, first);
+                BitsMut::new(&mut single, quantity).fill((first..).map(|index| bit(&table, index)));
+                let used = bytes_of_bits(quantity);
+                assert_eq!(packed[..used], single[..used], "{quantity} from {first}");
+                assert!(packed[used..].iter().all(|byte| *byte == 0xEE), "bytes past the last bit stay");
+            }
+        }
+    }
+
+    #[test]
+    fn packed_bits_are_written_to_any_place_and_nowhere_else() {
+        let values = [0b1010_0101, 0b0011_1100];
+        for first in 0..30 {
+            for quantity in 1..=16 {
+                let mut table = [0b0110_0110; 3];
+                Bits::new(&values, quantity).copy_to(&mut table, first);
+                for at in 0..24u16 {
+                    let expected = match at.checked_sub(first) {
+                        Some(index) if index < quantity => bit(&values, index),
+                        _ => bit(&[0b0110_0110; 3], at),
+                    };
+                    assert_eq!(bit(&table, at), expected, "bit {at}: {quantity} to {first}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bits_end_at_their_quantity() {
+        let bits = Bits::new(&[0xFF, 0xFF], 9);
+        assert_eq!((bits.len(), bits.get(8), bits.get(9)), (9, Some(true), None));
+        assert_eq!(bits.iter().count(), 9);
+        let mut bytes = [0; 2];
+        let mut out = BitsMut::new(&mut bytes, 9);
+        out.fill([true; 20]);
+        out.set(9, true);
+        out.set(0, false);
+        assert_eq!(bytes, [0xFE, 0x01]);
+    }
+}

@@ -1,0 +1,484 @@
+//! Properties that hold for any input: round trips in every framing, no panic, bounded output, a good request after
+//! any garbage is answered, and a response always fits its request.
+
+use jointbus_protocol::can::{Frame as CanFrame, Id};
+use jointbus_protocol::checksum;
+use jointbus_protocol::deframe::{BurstDeframer, Event, Expectation, ReplySearch, STRAY_MAX};
+use jointbus_protocol::modbus::identification::{Category, Conformity, Identification, ObjectId, Objects};
+use jointbus_protocol::modbus::line::{Heard, SharedLine};
+use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX};
+use jointbus_protocol::modbus::server::{self, RamTables};
+use jointbus_protocol::modbus::{
+    Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Request, Response, ascii, rtu, tcp,
+};
+use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
+use jointbus_protocol::nst::{self, Daq, RamHardware, SignEncoding};
+use jointbus_protocol::nxi6201::{self, Card, Settings};
+use jointbus_protocol::slcan;
+use jointbus_protocol::time::{Duration, Instant};
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::test_runner::FileFailurePersistence;
+
+const SILENCE: Duration = Duration::from_millis(5);
+const START: Instant = Instant::from_micros(0);
+
+type Tables = RamTables<32, 32, 300, 300>;
+
+/// A request with its data beside it.
+#[derive(Debug, Clone)]
+struct AnyRequest {
+    kind: u8,
+    words: [u16; 4],
+    data: Vec<u8>,
+}
+
+impl AnyRequest {
+    fn value(&self) -> Request<'_> {
+        let [a, b, c, d] = self.words;
+        let range = Range::new(a, b);
+        let data = &self.data[..];
+        match self.kind {
+            0 => Request::ReadCoils(range),
+            1 => Request::ReadDiscreteInputs(range),
+            2 => Request::ReadHoldingRegisters(range),
+            3 => Request::ReadInputRegisters(range),
+            4 => Request::WriteSingleCoil { address: a, value: b },
+            5 => Request::WriteSingleRegister { address: a, value: b },
+            6 => Request::ReadExceptionStatus,
+            7 => Request::Diagnostics { what: Diagnostic::from_code(a), data },
+            8 => Request::GetCommEventCounter,
+            9 => Request::GetCommEventLog,
+            10 => Request::WriteMultipleCoils { range, data },
+            11 => Request::WriteMultipleRegisters { range, data },
+            12 => Request::ReportServerId,
+            13 => Request::MaskWriteRegister { address: a, and: b, or: c },
+            14 => Request::ReadWriteMultipleRegisters { read: range, write: Range::new(c, d), data },
+            15 => Request::ReadDeviceIdentification {
+                category: Category::from_code(a as u8),
+                object: ObjectId::from_code(b as u8),
+            },
+            _ => Request::Other { function: FunctionCode::Unknown(0x41 + (a % 8) as u8), data },
+        }
+    }
+}
+
+/// Any request that fits a frame; quantities and addresses are often small, so that many are right.
+fn any_request() -> impl Strategy<Value = AnyRequest> {
+    let word = || prop_oneof![0..20u16, any::<u16>()];
+    (0..17u8, [word(), word(), word(), word()], vec(any::<u8>(), 0..=240))
+        .prop_map(|(kind, words, data)| AnyRequest { kind, words, data })
+}
+
+/// A request whose byte count fits its quantity.
+fn right_request() -> impl Strategy<Value = AnyRequest> {
+    (any_request(), 1..=110u16, 1..=100u16, 0..250u16).prop_map(|(mut request, quantity, write, start)| {
+        request.words = [start, quantity, start, write];
+        let length = match request.kind {
+            10 => usize::from(quantity).div_ceil(8),
+            11 => 2 * usize::from(quantity),
+            14 => 2 * usize::from(write),
+            _ => request.data.len(),
+        };
+        request.data.resize(length, 0xA5);
+        if request.kind == 4 {
+            request.words[1] = 0xFF00;
+        }
+        request
+    })
+}
+
+/// A response with its data beside it.
+fn any_response() -> impl Strategy<Value = (u8, [u16; 3], Vec<u8>)> {
+    (0..12u8, any::<[u16; 3]>(), vec(any::<u8>(), 0..=240))
+}
+
+fn response<'a>((kind, [a, b, c], data): &'a (u8, [u16; 3], Vec<u8>), objects: &'a [u8]) -> Response<'a> {
+    let (a, b, c) = (*a, *b, *c);
+    match kind {
+        0..=3 => Response::Read { function: FunctionCode::from_code(kind + 1), data },
+        4 => Response::WriteSingle { function: FunctionCode::WriteSingleCoil, address: a, value: b },
+        5 => Response::ExceptionStatus(a as u8),
+        6 => Response::CommEventLog { status: a, events: b, messages: c, log: data },
+        7 => Response::WriteMultiple { function: FunctionCode::WriteMultipleCoils, range: Range::new(a, b) },
+        8 => Response::ServerId(data),
+        9 => Response::MaskWrite { address: a, and: b, or: c },
+        10 => Response::DeviceIdentification(Identification {
+            category: Category::from_code(a as u8),
+            conformity: Conformity::from_code(b as u8),
+            next: (c > 99).then(|| ObjectId::from_code(c as u8)),
+            objects: Objects::new(objects).unwrap(),
+        }),
+        _ => {
+            Response::exception(FunctionCode::from_code((a & 0x7F) as u8), ExceptionCode::from_code(b as u8))
+        }
+    }
+}
+
+/// Objects as on the wire, of at most 200 bytes.
+fn any_objects() -> impl Strategy<Value = Vec<u8>> {
+    vec((any::<u8>(), vec(any::<u8>(), 0..18)), 0..10).prop_map(|objects| {
+        let wire = |(id, value): (u8, Vec<u8>)| [&[id, value.len() as u8][..], &value].concat();
+        objects.into_iter().flat_map(wire).collect()
+    })
+}
+
+fn nst_request(kind: u8, register: u16, length: u8, data: &[u8]) -> nst::Request<'_> {
+    let functions = [0x03, 0x12, 0x13, 0x15, 0x18, 0x19];
+    match functions.get(usize::from(kind)) {
+        Some(code) => {
+            nst::Request::Command { function: nst::FunctionCode::from_code(*code), register, length }
+        }
+        None => nst::Request::Write { register, data },
+    }
+}
+
+fn sealed(content: &[u8]) -> Vec<u8> {
+    [content, &checksum::crc16(content).to_le_bytes()].concat()
+}
+
+fn station() -> Station<RamModule, 2> {
+    let layout = Layout { digital_inputs: 16, digital_outputs: 10, analog_inputs: 8, analog_outputs: 4 };
+    Station::new([RamModule::new(layout), RamModule::new(layout)], 5).unwrap()
+}
+
+fn card() -> Card<nxi6201::RamHardware> {
+    Card::power_up(nxi6201::RamHardware::default(), &Settings::default()).unwrap()
+}
+
+fn daq() -> Daq<RamHardware> {
+    Daq::new(RamHardware::new(5), SignEncoding::default())
+}
+
+/// Failing cases are kept beside this file.
+fn config() -> ProptestConfig {
+    let failure_persistence = FileFailurePersistence::WithSource("regressions");
+    ProptestConfig { failure_persistence: Some(Box::new(failure_persistence)), ..ProptestConfig::default() }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn requests_survive_every_framing(request in any_request(), unit: u8, transaction: u16) {
+        let request = request.value();
+        let mut buffer = [0xEE; ascii::FRAME_MAX];
+
+        let frame = rtu::encode_request(unit, &request, &mut buffer).unwrap();
+        prop_assert!(frame.len() <= rtu::FRAME_MAX);
+        let decoded = rtu::Frame::decode(frame).unwrap();
+        prop_assert_eq!((decoded.unit, Request::decode(decoded.pdu)), (unit, Ok(request)));
+
+        let mut frame = ascii::encode_request(unit, &request, &mut buffer).unwrap();
+        let mut deframer = ascii::Deframer::new();
+        let Some(ascii::Event::Frame(decoded)) = deframer.feed(&mut frame) else { panic!("a frame") };
+        prop_assert_eq!((decoded.unit, Request::decode(decoded.pdu)), (unit, Ok(request)));
+
+        let mut frame = tcp::encode_request(transaction, unit, &request, &mut buffer).unwrap();
+        let mut deframer = tcp::Deframer::new();
+        let decoded = deframer.feed(&mut frame).unwrap().unwrap();
+        prop_assert_eq!((decoded.transaction, decoded.unit), (transaction, unit));
+        prop_assert_eq!(Request::decode(decoded.pdu), Ok(request));
+    }
+
+    #[test]
+    fn responses_survive_every_framing(any in any_response(), objects in any_objects(), unit: u8) {
+        let response = response(&any, &objects);
+        let mut buffer = [0xEE; ascii::FRAME_MAX];
+
+        let frame = rtu::encode_response(unit, &response, &mut buffer).unwrap();
+        let decoded = rtu::Frame::decode(frame).unwrap();
+        prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
+
+        let mut content = [0; ascii::CONTENT_MAX + 1];
+        let frame = ascii::encode_response(unit, &response, &mut buffer).unwrap();
+        let decoded = ascii::Frame::decode(frame, &mut content).unwrap();
+        prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
+
+        let mut frame = tcp::encode_response(1, unit, &response, &mut buffer).unwrap();
+        let mut deframer = tcp::Deframer::new();
+        let decoded = deframer.feed(&mut frame).unwrap().unwrap();
+        prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
+    }
+
+    #[test]
+    fn nst_bodies_survive_every_framing(
+        kind in 0..8u8,
+        register: u16,
+        length: u8,
+        address: u8,
+        data in vec(any::<u8>(), 0..=nst::WRITE_DATA_MAX),
+    ) {
+        let request = nst_request(kind, register, length, &data);
+        let mut buffer = [0xEE; nst::serial::REQUEST_MAX];
+        let frame = nst::serial::encode_request(address, &request, &mut buffer).unwrap().to_vec();
+        let decoded = nst::serial::Frame::decode(&frame).unwrap();
+        prop_assert_eq!(decoded.address, address);
+        prop_assert_eq!(nst::Request::decode(decoded.body), Ok(request));
+
+        let stream = nst::stream::encode_request(address, &request, &mut buffer).unwrap();
+        prop_assert_eq!(nst::stream::split(stream), Some((address, decoded.body)));
+
+        match nst::can::segment(1, address, decoded.body) {
+            Ok(frames) => {
+                let mut reassembler = nst::can::Reassembler::<2>::new(address, SILENCE);
+                let mut body = None;
+                for frame in frames {
+                    prop_assert!(body.is_none());
+                    if let Some(nst::can::Outcome::Complete { body: joined, .. }) =
+                        reassembler.push(&frame, START).outcome
+                    {
+                        body = Some(joined.to_vec());
+                    }
+                }
+                prop_assert_eq!(body.as_deref(), Some(decoded.body));
+            }
+            Err(_) => prop_assert!(decoded.body.len() > nst::can::TRANSFER_MAX),
+        }
+    }
+
+    #[test]
+    fn nst_replies_survive(kind in 0..7u8, length: u8, data in vec(any::<u8>(), 1..=nst::REPLY_DATA_MAX)) {
+        let function =
+            nst::FunctionCode::from_code([0x03, 0x15, 0x10, 0x12, 0x13, 0x18, 0x19][usize::from(kind)]);
+        let reply = match kind {
+            0 | 1 => nst::Reply::Data { function, data: &data },
+            _ => nst::Reply::Acknowledge { function, length },
+        };
+        let mut buffer = [0xEE; nst::serial::REPLY_MAX];
+        let frame = nst::serial::encode_reply(9, &reply, &mut buffer).unwrap();
+        prop_assert_eq!(nst::Reply::decode(nst::serial::Frame::decode(frame).unwrap().body), Ok(reply));
+    }
+
+    #[test]
+    fn whatever_decodes_encodes_to_the_same(pdu in vec(any::<u8>(), 0..=PDU_MAX)) {
+        let mut buffer = [0xEE; PDU_MAX];
+        if let Ok(request) = Request::decode(&pdu) {
+            let mut writer = jointbus_protocol::wire::Writer::new(&mut buffer);
+            request.encode(&mut writer).unwrap();
+            prop_assert_eq!(writer.finish(), &pdu);
+        }
+        match Response::decode(&pdu) {
+            // "more follows" and the next object have more spellings than one
+            Err(_) | Ok(Response::DeviceIdentification(_)) => {}
+            Ok(response) => {
+                let mut writer = jointbus_protocol::wire::Writer::new(&mut buffer);
+                response.encode(&mut writer).unwrap();
+                prop_assert_eq!(writer.finish(), &pdu);
+            }
+        }
+    }
+
+    #[test]
+    fn no_bytes_break_a_parser_a_deframer_or_a_dispatcher(
+        bytes in vec(any::<u8>(), 0..600),
+        piece in 1..300usize,
+        correct: bool,
+    ) {
+        let frame = if correct { sealed(&bytes) } else { bytes.clone() };
+        let mut out = [0xEE; 600];
+        let mut tables = Tables::new();
+        for unit in [frame.first().copied().unwrap_or(0), 5] {
+            if let Ok(answer) = server::rtu(&mut tables, unit, &frame, &mut out) {
+                prop_assert!(answer.len() <= FRAME_MAX);
+                prop_assert!(rtu::Frame::decode(answer).is_ok());
+            }
+        }
+        if let Ok(answer) = server::respond(&mut tables, &bytes, &mut out) {
+            prop_assert!(answer.len() <= PDU_MAX && Response::decode(answer).is_ok());
+        }
+        let _ = station().serve(&frame, &mut out);
+        let _ = card().serve(31, &frame, &mut out);
+        let mut sensor = daq();
+        let _ = sensor.serve_serial(&frame, &mut out);
+        let _ = sensor.serve_stream(&bytes, &mut out);
+        let _ = nst::Reply::decode(&bytes);
+        let _ = (Request::decode(&bytes), Response::decode(&bytes), Objects::new(&bytes).map(Iterator::count));
+        let _ = ascii::Frame::decode(&bytes, &mut out).is_ok();
+        let _ = (rtu::request_length(&bytes), nst::serial::request_length(&bytes));
+
+        let mut burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut nst_burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut line = SharedLine::new(4..=5, SILENCE);
+        let (mut characters, mut connection) = (ascii::Deframer::new(), tcp::Deframer::new());
+        let mut lines = slcan::LineReader::<40>::new();
+        let expected = ExpectedResponse::new(1, &Request::ReadCoils(Range::new(0, 9)));
+        let mut search = ReplySearch::<300, 2>::default();
+        for chunk in frame.chunks(piece) {
+            // each event takes at least one byte, so this ends
+            let mut rest = chunk;
+            while burst.feed(&rtu::Requests, &mut rest, START).is_some() {}
+            rest = chunk;
+            while nst_burst.feed(&nst::serial::Requests, &mut rest, START).is_some() {}
+            rest = chunk;
+            while line.feed(&mut rest, START).is_some() {}
+            rest = chunk;
+            while characters.feed(&mut rest).is_some() {}
+            rest = chunk;
+            while let Ok(Some(_)) = connection.feed(&mut rest) {}
+            rest = chunk;
+            while search.feed(&expected, &mut rest).is_some() {}
+            for byte in chunk {
+                if let Some(slcan::Outcome::Line(line)) = lines.push(*byte) {
+                    let _ = slcan::Command::decode(line);
+                }
+            }
+        }
+        let later = START.after(SILENCE);
+        let _ = burst.poll(&rtu::Requests, later);
+        let _ = nst_burst.poll(&nst::serial::Requests, later);
+        let _ = line.poll(later);
+    }
+
+    #[test]
+    fn no_can_frames_break_the_reassembler(
+        frames in vec((any::<bool>(), 0..4u32, 0..3u32, any::<u8>(), vec(any::<u8>(), 0..=8), 0..8u64), 0..60)
+    ) {
+        let mut reassembler = nst::can::Reassembler::<2>::new(2, SILENCE);
+        let mut now = START;
+        for (remote, source, destination, format, data, pause) in frames {
+            now = now.after(Duration::from_millis(pause));
+            let id = Id::Extended(source << 16 | destination << 8 | u32::from(format));
+            let mut bytes = [0; 8];
+            bytes[..data.len()].copy_from_slice(&data);
+            let frame = CanFrame::from_wire(id, remote, data.len() as u8, bytes).unwrap();
+            if let Some(nst::can::Outcome::Complete { body, .. }) = reassembler.push(&frame, now).outcome {
+                prop_assert!(!body.is_empty() && body.len() <= nst::can::TRANSFER_MAX);
+            }
+        }
+        // and it still joins a transfer
+        let later = now.after(SILENCE).after(SILENCE);
+        let mut joined = None;
+        for frame in nst::can::segment(3, 2, &[7; 20]).unwrap() {
+            if let Some(nst::can::Outcome::Complete { body, .. }) = reassembler.push(&frame, later).outcome {
+                joined = Some(body.to_vec());
+            }
+        }
+        prop_assert_eq!(joined, Some(vec![7; 20]));
+    }
+
+    #[test]
+    fn a_valid_request_after_garbage_and_silence_is_taken(
+        garbage in vec(any::<u8>(), 0..600),
+        request in any_request(),
+        unit in 4..=5u8,
+    ) {
+        let request = request.value();
+        let mut buffer = [0; ascii::FRAME_MAX];
+        let frame = rtu::encode_request(unit, &request, &mut buffer).unwrap().to_vec();
+        // a byte count may belie the frame's own length; then the line can't know where it ends
+        prop_assume!(Request::decode(&frame[1..frame.len() - 2]).is_ok());
+        let regular = !matches!(request, Request::Diagnostics { data, .. } if data.len() != 2);
+        let (quiet, done) = (START.after(SILENCE), START.after(SILENCE).after(SILENCE));
+
+        let mut burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut rest = &garbage[..];
+        while burst.feed(&rtu::Requests, &mut rest, START).is_some() {}
+        let _ = burst.poll(&rtu::Requests, quiet);
+        let mut rest = &frame[..];
+        let event = burst.feed(&rtu::Requests, &mut rest, quiet).is_some();
+        if regular {
+            let event = if event { Some(Event::Frame(&frame)) } else { burst.poll(&rtu::Requests, done) };
+            prop_assert_eq!(event, Some(Event::Frame(&frame)));
+        }
+
+        let mut line = SharedLine::new(4..=5, SILENCE);
+        let mut rest = &garbage[..];
+        while line.feed(&mut rest, START).is_some() {}
+        let _ = line.poll(quiet);
+        let mut rest = &frame[..];
+        let heard = line.feed(&mut rest, quiet).is_some();
+        if regular {
+            let heard = if heard { Some(Heard::Request(&frame)) } else { line.poll(done) };
+            prop_assert_eq!(heard, Some(Heard::Request(&frame)));
+        }
+
+        let mut characters = ascii::Deframer::new();
+        let mut rest = &garbage[..];
+        while characters.feed(&mut rest).is_some() {}
+        let mut rest = ascii::encode_request(unit, &request, &mut buffer).unwrap();
+        let mut taken = false;
+        while let Some(event) = characters.feed(&mut rest) {
+            taken |= matches!(event, ascii::Event::Frame(frame) if Request::decode(frame.pdu) == Ok(request));
+        }
+        prop_assert!(taken);
+    }
+
+    #[test]
+    fn what_the_general_server_answers_fits_the_request(
+        request in prop_oneof![any_request(), right_request()],
+        transaction: u16,
+    ) {
+        let request = request.value();
+        let (mut tables, mut buffer, mut out) = (Tables::new(), [0; ascii::FRAME_MAX], [0; ascii::FRAME_MAX]);
+        let expected = ExpectedResponse::new(5, &request);
+        let refused_only = expected.lengths() == [0, 5] && !expected.is_open();
+
+        let frame = rtu::encode_request(5, &request, &mut buffer).unwrap();
+        let answer = server::rtu(&mut tables, 5, frame, &mut out).unwrap();
+        prop_assert!(expected.accepts(answer), "{:x?} -> {:x?}", frame, answer);
+        prop_assert!(!refused_only || answer[1] & 0x80 != 0);
+        let mut again = [0xEE; FRAME_MAX];
+        let small = server::rtu_with(checksum::crc16_small, &mut tables, 5, frame, &mut again)
+            .unwrap();
+        prop_assert_eq!(small, answer);
+        let answer = Response::decode(&answer[1..answer.len() - 2]).unwrap().function();
+        prop_assert_eq!(answer, request.function());
+
+        let (mut deframer, mut connection) = (ascii::Deframer::new(), tcp::Deframer::new());
+        let mut frame = ascii::encode_request(5, &request, &mut buffer).unwrap();
+        let Some(ascii::Event::Frame(frame)) = deframer.feed(&mut frame) else { panic!("a frame") };
+        let answer = server::ascii(&mut tables, 5, &frame, &mut out).unwrap();
+        let mut content = [0; ascii::CONTENT_MAX + 1];
+        prop_assert!(expected.accepts_pdu(ascii::Frame::decode(answer, &mut content).unwrap().pdu));
+
+        let mut frame = tcp::encode_request(transaction, 5, &request, &mut buffer).unwrap();
+        let frame = connection.feed(&mut frame).unwrap().unwrap();
+        let mut answer = server::tcp(&mut tables, &frame, &mut out).unwrap();
+        let mut back = tcp::Deframer::new();
+        let answer = back.feed(&mut answer).unwrap().unwrap();
+        prop_assert_eq!((answer.transaction, answer.unit), (transaction, 5));
+        prop_assert!(expected.accepts_pdu(answer.pdu));
+    }
+
+    #[test]
+    fn what_the_devices_answer_fits_the_request(request in prop_oneof![any_request(), right_request()]) {
+        let request = request.value();
+        let (mut buffer, mut out) = ([0; FRAME_MAX], [0; FRAME_MAX]);
+        let expected = ExpectedResponse::new(6, &request);
+        let frame = rtu::encode_request(6, &request, &mut buffer).unwrap();
+        prop_assert!(expected.accepts(station().serve(frame, &mut out).unwrap()));
+        prop_assert!(expected.accepts(card().serve(6, frame, &mut out).unwrap()));
+    }
+
+    #[test]
+    fn what_the_sensor_answers_fits_the_request(
+        kind in 0..8u8,
+        register in prop_oneof![0..0x310u16, any::<u16>()],
+        length: u8,
+        data in vec(any::<u8>(), 0..=60),
+    ) {
+        let request = nst_request(kind, register, length, &data);
+        let (mut buffer, mut out) = ([0; FRAME_MAX], [0; FRAME_MAX]);
+        let frame = nst::serial::encode_request(5, &request, &mut buffer).unwrap();
+        if let Ok(reply) = daq().serve_serial(frame, &mut out) {
+            prop_assert!(nst::serial::ExpectedReply::new(5, &request).accepts(reply));
+        }
+    }
+
+    #[test]
+    fn a_reply_is_found_behind_any_noise(noise in vec(any::<u8>(), 0..700), quantity in 1..=125u16) {
+        let request = Request::ReadInputRegisters(Range::new(0, quantity));
+        let expected = ExpectedResponse::new(9, &request);
+        let data = vec![3; 2 * usize::from(quantity)];
+        let mut buffer = [0; FRAME_MAX];
+        let reply = Response::Read { function: request.function(), data: &data };
+        let frame = rtu::encode_response(9, &reply, &mut buffer).unwrap();
+        let mut search = ReplySearch::<{ FRAME_MAX + 1 }, 2>::default();
+        let mut rest = &noise[..];
+        // noise that is a reply by itself is none of this test's business
+        prop_assume!(search.feed(&expected, &mut rest).is_none());
+        let mut rest = frame;
+        prop_assert!(search.feed(&expected, &mut rest).is_some());
+    }
+}
