@@ -2,6 +2,7 @@
 #![no_main]
 
 use jointbus_protocol::deframe::{Expectation, FrameLength};
+use jointbus_protocol::nst::can;
 use jointbus_protocol::nst::{Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding, serial, stream};
 use jointbus_protocol::wire::Writer;
 use libfuzzer_sys::fuzz_target;
@@ -22,6 +23,8 @@ fuzz_target!(|data: &[u8]| {
 
         let frame = stream::encode_request(7, &request, &mut buffer).unwrap();
         assert_eq!(stream::split(frame), Some((7, data)));
+        assert_eq!(stream::request_length(frame), FrameLength::Exactly(frame.len()));
+        parts(&request);
     }
     if let Ok(reply) = Reply::decode(data) {
         let mut writer = Writer::new(&mut buffer);
@@ -40,3 +43,20 @@ fuzz_target!(|data: &[u8]| {
     }
     let _ = (serial::Frame::decode(data), serial::request_length(data), stream::split(data));
 });
+
+/// A request over CAN in parts asks for every byte once, in order.
+fn parts(request: &Request<'_>) {
+    let mut moved = 0;
+    while let Some(part) = can::part(request, moved) {
+        assert_eq!(part.function(), request.function());
+        assert_eq!(part.register(), request.register().wrapping_add(moved.into()));
+        let most = if part.function().is_read() { can::READ_MAX } else { can::WRITE_MAX };
+        let splits = part.function().is_read() || matches!(part, Request::Write { .. });
+        assert!(!splits || usize::from(part.length()) <= most);
+        moved = moved.checked_add(part.length()).expect("more than was asked for");
+        if request.length() == 0 {
+            return;
+        }
+    }
+    assert_eq!(moved, request.length());
+}

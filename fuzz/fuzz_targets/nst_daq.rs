@@ -3,6 +3,8 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, sealed};
+use jointbus_protocol::can::Id;
+use jointbus_protocol::nst::can::{self, Identifier};
 use jointbus_protocol::nst::register::{self, Access};
 use jointbus_protocol::nst::{
     ADDRESS_MAX, ADDRESS_MIN, BROADCAST, Daq, RamHardware, Request, Sample, SignEncoding, Silence, serial,
@@ -24,7 +26,8 @@ fuzz_target!(|data: &[u8]| {
         let outcome = match way & 0x07 {
             0 => daq.serve_serial(content, &mut out).map(<[u8]>::to_vec),
             1 => daq.serve_stream(content, &mut out).map(sealed),
-            2 => {
+            2 => serve_can(&mut daq, way, content),
+            3 => {
                 daq.hardware().sample = Sample([i32::from(way) << 23; 6]);
                 continue;
             }
@@ -59,3 +62,18 @@ fuzz_target!(|data: &[u8]| {
     let reply = daq.serve_serial(frame, &mut out).unwrap();
     assert!(serial::ExpectedReply::new(address, &request).accepts(reply));
 });
+
+/// The reply to a transfer, joined and in the form of the serial line.
+fn serve_can(daq: &mut Daq<RamHardware>, way: u8, content: &[u8]) -> Result<Vec<u8>, Silence> {
+    let (source, mut buffer) = (way >> 3, [0xEE; can::TRANSFER_MAX]);
+    let destination = content.first().copied().unwrap_or(0);
+    let frames = daq.serve_can(source, destination, content.get(1..).unwrap_or(&[]), &mut buffer)?;
+    let mut joined = vec![destination];
+    for frame in frames {
+        let Id::Extended(raw) = frame.id() else { panic!("a short identifier") };
+        let identifier = Identifier::from_raw(raw).unwrap();
+        assert_eq!((identifier.source, identifier.destination), (destination, source));
+        joined.extend_from_slice(frame.data());
+    }
+    Ok(sealed(&joined))
+}

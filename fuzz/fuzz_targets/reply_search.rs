@@ -16,7 +16,12 @@ fuzz_target!(|data: &[u8]| {
     let way = script.byte();
     let quantity = u16::from(script.byte() % 126);
     let data = [0; 2];
-    match way & 0x03 {
+    match way & 0x07 {
+        4 => {
+            let length = u8::try_from(quantity).unwrap();
+            let expected = nst::stream::ExpectedReply::new(UNIT, &nst::Request::read(0x0200, length));
+            finds(&expected, script, &[&[UNIT, 0x03, length][..], &vec![way; length.into()]].concat());
+        }
         0 => {
             let length = u8::try_from(quantity).unwrap();
             let expected = nst::serial::ExpectedReply::new(UNIT, &nst::Request::read(0x0200, length));
