@@ -9,9 +9,15 @@ use jointbus_host_tests::bridge::{self, Limits, port};
 use jointbus_host_tests::client::{self, Client, Error};
 use jointbus_host_tests::emulator::{Emulator, Options, Port};
 use jointbus_protocol::modbus::ExceptionCode;
+use jointbus_protocol::nst::Sample;
+use jointbus_protocol::time::Instant as Moment;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::{Duration, Instant};
+
+/// From the first to the last moment that a device could have told something.
+const START: Moment = Moment::from_micros(0);
+const END: Moment = Moment::from_micros(u64::MAX);
 
 /// Only a hang reaches it.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -75,6 +81,31 @@ fn reads_and_writes_longer_than_a_can_transfer_are_split() {
     let counters = bridge::counters(&mut client, port::CAN).unwrap();
     // 124 and 20 bytes written are 16 and 3 frames, two reads are one each; two acknowledgements, then 16 and 3 frames
     assert_eq!((counters.sent, counters.received), (16 + 3 + 2, 2 + 16 + 3));
+}
+
+#[test]
+fn a_polling_slot_is_read_as_one_block() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    // slot 2: the sensor on CAN, each 5 ms
+    client.modbus(bridge::UNIT).write_registers(0x0054, &[CAN_UNIT.into(), 50]).unwrap();
+    let mut last = 0;
+    for _ in 0..50 {
+        let block = client.modbus(bridge::UNIT).read_input_registers(0x0140, 24).unwrap();
+        let long = |at: usize| u32::from(block[at]) << 16 | u32::from(block[at + 1]);
+        let (state, sequence) = (block[0], long(2));
+        assert_eq!((block[1], long(10)), (CAN_UNIT.into(), 0), "unit and failures");
+        if sequence == 0 {
+            continue;
+        }
+        assert!((2..=3).contains(&state) && sequence >= last);
+        last = sequence;
+        let sample = Sample(std::array::from_fn(|axis| long(12 + 2 * axis) as i32));
+        let told =
+            bench.can.lock().sensor(1).unwrap().told().between(START, END).any(|(_, told)| *told == sample);
+        assert!(told, "{sample:?} is none that the sensor told: torn");
+    }
+    until(|| client.modbus(bridge::UNIT).read_input_registers(0x0143, 1).unwrap()[0] > 50);
 }
 
 #[test]

@@ -151,6 +151,29 @@ fn an_unplugged_device_is_told_in_time_and_comes_back() {
 }
 
 #[test]
+fn a_dead_device_is_refused_at_once_and_probed_until_it_answers() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Rs485B];
+    let read = [4, 0, 0x40, 0, 1];
+    for _ in 0..3 {
+        assert_eq!(world.modbus(32, &read, LATER), [0x84, 0x0B]);
+    }
+    assert_eq!(world.modbus(247, &[4, 2, 12, 0, 1], SOON), [4, 2, 0, 1], "bit 0: the route's first unit");
+    world.pass(LATER);
+    let sent = world.sent.len();
+    assert_eq!(world.modbus(32, &read, Duration::from_millis(900)), [0x84, 0x0B], "the probe");
+    assert_eq!(world.sent.len(), sent + 1, "without retry");
+    world.engine.receive(Port::Host, &modbus(32, &read), world.now);
+    assert_eq!(world.engine.output(Port::Host), modbus(32, &[0x84, 0x0B]), "at once");
+    world.exchange(&[], Duration::from_millis(200));
+    assert_eq!(world.sent.len(), sent + 1);
+    world.unplugged.clear();
+    assert_eq!(world.modbus(32, &read, SOON), [4, 2, 0, 0], "a second later the next one is let through");
+    assert_eq!(world.modbus(247, &[4, 2, 12, 0, 1], SOON), [4, 2, 0, 0]);
+    assert_eq!(world.modbus(32, &[3, 0, 0x60, 0, 1], SOON), [3, 2, 0, 0], "and all the others");
+}
+
+#[test]
 fn writes_are_never_sent_twice() {
     let mut world = World::new();
     world.unplugged = vec![Port::Rs485B];
@@ -179,6 +202,30 @@ fn a_late_reply_is_given_to_no_other_request() {
     assert!(replies.ends_with(&modbus(32, &[4, 2, 0x22, 0x22])), "{replies:02x?}");
     assert!(!replies.windows(2).any(|pair| pair == [0x11, 0x11]));
     assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 2);
+}
+
+#[test]
+fn a_port_that_hears_itself_drops_its_echo_and_counts_collisions() {
+    let mut world = World::new();
+    let request = [5, 2, 3, 0xFF, 0];
+    for request in [[6, 0, 0x24, 0, 1], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1]] {
+        assert_eq!(world.modbus(247, &request, SOON), request);
+    }
+    // the echo of this write is what its response would be
+    world.echo = Some(Vec::new());
+    world.unplugged = vec![Port::Rs485B];
+    assert_eq!(world.modbus(32, &request, LATER), [0x85, 0x0B], "an echo is no answer");
+    world.unplugged.clear();
+    assert_eq!(world.modbus(32, &request, LATER), request);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 0);
+    world.echo = Some(vec![0x55; 8]);
+    assert_eq!(world.modbus(32, &request, LATER), request, "answered in spite of it");
+    world.unplugged = vec![Port::Rs485B];
+    world.modbus(32, &request, LATER);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 1, "another was heard");
+    world.echo = None;
+    world.modbus(32, &request, LATER);
+    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 2, "nothing was heard");
 }
 
 #[test]
@@ -271,6 +318,70 @@ fn unit_247_tells_about_the_bridge() {
 }
 
 #[test]
+fn unit_247_answers_diagnostics_and_tells_what_it_is() {
+    let mut world = World::new();
+    assert_eq!(world.modbus(247, &[8, 0, 0, 0xA5, 0x37], SOON), [8, 0, 0, 0xA5, 0x37], "loopback");
+    assert_eq!(world.modbus(247, &[6, 0, 0, 0, 1], SOON), [0x86, 3]);
+    let mut broken = modbus(247, &[4, 0, 0, 0, 1]);
+    broken[3] ^= 1;
+    world.exchange(&broken, SOON);
+    for (what, count) in [(0x0B, 3), (0x0C, 1), (0x0D, 1), (0x0E, 6), (0x0F, 0), (0x12, 0)] {
+        assert_eq!(world.modbus(247, &[8, 0, what, 0, 0], SOON), [8, 0, what, 0, count], "{what:#x}");
+    }
+    assert_eq!(world.modbus(247, &[8, 0, 0x0A, 0, 0], SOON), [8, 0, 0x0A, 0, 0]);
+    assert_eq!(world.modbus(247, &[8, 0, 0x0C, 0, 0], SOON), [8, 0, 0x0C, 0, 0], "cleared");
+    assert_eq!(world.modbus(247, &[8, 0, 0x01, 0, 0], SOON), [0x88, 1]);
+    assert_eq!(world.modbus(247, &[17], SOON), b"\x11\x0A\xF7\xFFjointbus");
+    let basic = world.modbus(247, &[0x2B, 0x0E, 1, 0], SOON);
+    assert_eq!(basic[..7], [0x2B, 0x0E, 1, 0x82, 0, 0, 3]);
+    assert!(basic.ends_with(env!("CARGO_PKG_VERSION").as_bytes()));
+    assert_eq!(world.modbus(247, &[0x2B, 0x0E, 4, 4], SOON), b"\x2B\x0E\x04\x82\x00\x00\x01\x04\x08Jointbus");
+    assert_eq!(world.modbus(247, &[1, 0, 0, 0, 1], SOON), [0x81, 1]);
+}
+
+#[test]
+fn polling_slots_read_on_time_beside_the_host() {
+    let mut world = World::new();
+    // slot 0: unit 1 each 10 ms; slot 3: unit 16 each 20 ms
+    let slots = [16, 0, 0x50, 0, 8, 16, 0, 1, 0, 100, 0, 0, 0, 0, 0, 0, 0, 0, 0, 16, 0, 200];
+    assert_eq!(world.modbus(247, &slots, Duration::ZERO), [16, 0, 0x50, 0, 8]);
+    world.pass(Duration::from_millis(100));
+    assert_eq!(world.nst(1, &READ, Duration::from_millis(50)), axes(1), "the host is served as well");
+    let sample = |factor: i32| SAMPLE.0.map(|axis| (axis * factor).to_be_bytes()).concat();
+    let (start, slot) = (world.now, *world.engine.slot(0).unwrap());
+    assert!((15..=16).contains(&slot.sequence), "{slot:?}");
+    assert_eq!((slot.missed, slot.failures), (0, 0));
+    assert!(start.since(slot.stamp) < Duration::from_millis(11));
+    let block = world.modbus(247, &[4, 1, 0, 0, 24], Duration::ZERO);
+    let fields = [
+        &[4, 48, 0, 2, 0, 1][..],
+        &slot.sequence.to_be_bytes(),
+        &slot.stamp.as_micros().to_be_bytes(),
+        &[0; 8],
+    ];
+    assert_eq!(block, [fields.concat(), sample(1)].concat());
+    let block = world.modbus(247, &[4, 1, 0x60, 0, 24], Duration::ZERO);
+    assert_eq!(block[2..6], [0, 2, 0, 16]);
+    assert_eq!(block[26..], sample(2));
+
+    world.unplugged = vec![Port::Can];
+    world.pass(Duration::from_millis(300));
+    let slot = *world.engine.slot(0).unwrap();
+    assert!(slot.failures >= 2 && slot.missed > 10, "{slot:?}");
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 1], Duration::ZERO), [4, 2, 0, 3], "stale");
+    let before = world.engine.slot(3).unwrap().sequence;
+    world.unplugged.clear();
+    world.pass(Duration::from_millis(1100));
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 1], Duration::ZERO), [4, 2, 0, 2], "fresh after a probe");
+    let after = world.engine.slot(3).unwrap();
+    assert!((54..=56).contains(&(after.sequence - before)), "the other bus keeps its rate");
+    assert_eq!((after.missed, after.failures), (0, 0));
+
+    assert_eq!(world.modbus(247, &[6, 0, 0x51, 0, 0], Duration::ZERO), [6, 0, 0x51, 0, 0]);
+    assert_eq!(world.modbus(247, &[4, 1, 0, 0, 4], SOON), [4, 8, 0, 0, 0, 1, 0, 0, 0, 0], "off");
+}
+
+#[test]
 fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
     let mut world = World::new();
     let (timeout, apply, confirm) = ([6, 1, 0x15, 0x03, 0xE8], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1]);
@@ -306,7 +417,8 @@ fn a_configuration_that_does_not_fit_is_refused() {
         (&[6, 1, 0x15, 0, 0][..], 3),
         (&[6, 1, 0x17, 0, 10], 3),
         (&[6, 1, 0x1B, 0, 0], 2),
-        (&[6, 0, 0x50, 0, 1], 2),
+        (&[6, 0, 0x60, 0, 1], 2),
+        (&[6, 0, 0x50, 1, 0], 3),
         (&[16, 1, 0x15, 0, 2, 4, 0, 7, 0, 0], 3),
         (&[16, 1, 0x15, 0, 2, 2, 0, 7], 3),
     ] {

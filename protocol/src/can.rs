@@ -1,5 +1,7 @@
 //! A classic CAN frame as a plain value (ISO 11898-1), shared by the NST segmentation, SLCAN and the bridge.
 
+use crate::error::error_text;
+
 /// Identifier of a CAN frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -93,5 +95,12 @@ impl Frame {
     #[must_use]
     pub const fn payload(&self) -> &[u8; 8] {
         &self.data
+    }
+}
+
+error_text! {
+    FrameError {
+        FrameError::Identifier => ("the identifier has too many bits"),
+        FrameError::Length => ("more than eight bytes, or a data length code above 15"),
     }
 }

@@ -16,6 +16,7 @@
 //! The adapter answers with [`DONE`] or [`REFUSED`], and with [`SENT_STANDARD`] or [`SENT_EXTENDED`] for a frame.
 
 use crate::can::{Frame, Id};
+use crate::error::error_text;
 
 /// Ends a line; alone it is the adapter's "done".
 pub const DONE: u8 = b'\r';
@@ -77,6 +78,16 @@ pub enum DecodeError {
     Digit(u8),
     /// A number is outside its range: bit rate, time stamp switch, identifier.
     Range,
+}
+
+error_text! {
+    DecodeError {
+        DecodeError::Empty => ("an empty line"),
+        DecodeError::UnknownCommand(letter) => ("no command starts with {letter:#04x}"),
+        DecodeError::Length => ("shorter or longer than the command"),
+        DecodeError::Digit(byte) => ("{byte:#04x} is no hexadecimal digit"),
+        DecodeError::Range => ("a number is outside its range"),
+    }
 }
 
 impl Command {

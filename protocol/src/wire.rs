@@ -1,5 +1,7 @@
 //! Bounded reader and writer: the one place of this crate that touches raw offsets.
 
+use crate::error::error_text;
+
 /// The input ended before the value did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -164,6 +166,18 @@ pub(crate) fn copy(from: &[u8], to: &mut [u8]) {
     let length = from.len().min(to.len());
     if let (Some(from), Some(to)) = (from.get(..length), to.get_mut(..length)) {
         to.copy_from_slice(from);
+    }
+}
+
+error_text! {
+    Truncated {
+        Truncated => ("the input ends before the value does"),
+    }
+}
+
+error_text! {
+    NoSpace {
+        NoSpace => ("the buffer is too small"),
     }
 }
 

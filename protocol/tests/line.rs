@@ -191,6 +191,31 @@ fn and_spoilt_it_executes_nothing_either() {
 }
 
 #[test]
+fn nor_when_its_request_was_not_heard() {
+    let (asked, answer) = two_faced();
+    let mine = request(4, READ(1));
+    // the first frame after power-up
+    let mut rig = Rig::new();
+    rig.send(&answer, 5);
+    rig.send(&mine, 5);
+    assert_eq!(rig.heard, [Out::Passed(answer.clone()), Out::Request(mine.clone())]);
+    // noise on the request, but only where we are
+    for at in 0..asked.len() {
+        let mut spoilt = asked.clone();
+        spoilt[at] ^= 0x40;
+        let mut rig = Rig::new();
+        rig.send(&mine, 8);
+        rig.send(&spoilt, 8);
+        rig.wait(SILENCE);
+        rig.send(&answer, 8);
+        rig.wait(SILENCE);
+        rig.send(&mine, 8);
+        assert_eq!(rig.heard.len(), 4, "{at}: {:?}", rig.heard);
+        assert_eq!(rig.heard[2..], [Out::Passed(answer.clone()), Out::Request(mine.clone())]);
+    }
+}
+
+#[test]
 fn a_repeated_request_that_could_start_a_response_ends_by_silence() {
     // address 0x1000: its high byte is the byte count of eight registers
     let asked = request(9, Request::ReadHoldingRegisters(Range::new(0x1000, 8)));
@@ -210,8 +235,13 @@ fn after_anything_wrong_nothing_until_silence() {
     let mut wrong = request(9, READ(2));
     wrong[7] ^= 1;
     assert_eq!(hear(&[&wrong, &mine]), [Out::Dropped(Fault::Checksum)]);
-    assert_eq!(hear(&[&[9, 0x83], &mine]), [Out::Dropped(Fault::Impossible)], "a response nobody asked for");
-    assert_eq!(hear(&[&[0xAA], &mine]), [Out::Dropped(Fault::Checksum)], "stray bytes are not forgiven");
+    let done = request(5, READ(1));
+    assert_eq!(
+        hear(&[&done, &[9, 0x83], &mine]),
+        [Out::Request(done), Out::Dropped(Fault::Impossible)],
+        "a response nobody asked for"
+    );
+    assert_eq!(hear(&[&[0xAA], &mine]), [Out::Dropped(Fault::Incomplete)], "stray bytes are not forgiven");
     let mut rig = Rig::new();
     rig.send(&wrong, 8);
     rig.wait(SILENCE);

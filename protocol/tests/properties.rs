@@ -11,7 +11,7 @@ use jointbus_protocol::modbus::server::{self, RamTables};
 use jointbus_protocol::modbus::{
     Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Request, Response, ascii, rtu, tcp,
 };
-use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
+use jointbus_protocol::ndam9010::{self, Layout, RamModule, Station};
 use jointbus_protocol::nst::{self, Daq, RamHardware, SignEncoding};
 use jointbus_protocol::nxi6201::{self, Card, Settings};
 use jointbus_protocol::slcan;
@@ -295,6 +295,13 @@ proptest! {
         let _ = nst::Reply::decode(&bytes);
         let _ = (Request::decode(&bytes), Response::decode(&bytes), Objects::new(&bytes).map(Iterator::count));
         let _ = ascii::Frame::decode(&bytes, &mut out).is_ok();
+        let mut station_store = [0; ndam9010::settings::STORED_LENGTH];
+        let mut card_store = [0; nxi6201::STORED_LENGTH];
+        for store in [&mut station_store[..], &mut card_store] {
+            let content = bytes.iter().copied().chain(std::iter::repeat(0)).take(store.len() - 2);
+            store.copy_from_slice(&sealed(&content.collect::<Vec<_>>()));
+        }
+        let _ = (ndam9010::Settings::decode(&station_store), Settings::decode(&card_store));
         let _ = (rtu::request_length(&bytes), nst::serial::request_length(&bytes));
 
         let mut burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
@@ -448,6 +455,10 @@ proptest! {
         let expected = ExpectedResponse::new(6, &request);
         let frame = rtu::encode_request(6, &request, &mut buffer).unwrap();
         prop_assert!(expected.accepts(station().serve(frame, &mut out).unwrap()));
+        let in_ascii = ascii::Frame { unit: 6, pdu: &frame[1..frame.len() - 2] };
+        let (mut characters, mut content) = ([0; ascii::FRAME_MAX], [0; ascii::CONTENT_MAX + 1]);
+        let answer = station().serve_ascii(&in_ascii, &mut characters).unwrap().to_vec();
+        prop_assert!(expected.accepts_pdu(ascii::Frame::decode(&answer, &mut content).unwrap().pdu));
         prop_assert!(expected.accepts(card().serve(6, frame, &mut out).unwrap()));
     }
 

@@ -5,7 +5,6 @@ use super::host::FRAME_MAX;
 use super::transaction::{Expected, OwedReplies, Queue, QueueFull, Request, Surroundings};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::modbus::ExceptionCode;
 use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
 use jointbus_protocol::nst::{self, FunctionCode, Reply, serial::ExpectedReply};
 use jointbus_protocol::time::{Duration, Instant};
@@ -93,6 +92,11 @@ impl CanBus {
         let result = self.queue.push(request);
         self.take_next(now, around);
         result
+    }
+
+    /// Whether a request would have to wait for a reply that its unit owes.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
+        self.owed.holds(request, now)
     }
 
     /// The next frame for the controller; it counts as handed over.
@@ -185,7 +189,7 @@ impl CanBus {
                 flight.phase = Phase::Ready;
             }
             None => {
-                answer(flight, now.since(sent), around);
+                answer(flight, sent, now, around);
                 self.finish(around);
             }
         }
@@ -226,8 +230,8 @@ impl CanBus {
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.
     pub(super) fn reset(&mut self, node: u8, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
-            around.host.output.release();
+            around.fail(&flight.request);
+            around.release(&flight.request);
         }
         self.queue.clear(&mut around.host);
         self.owed = OwedReplies::new();
@@ -236,21 +240,23 @@ impl CanBus {
     }
 
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if self.flight.is_none() && !self.owed.is_full() && around.host.output.has_room() {
-            self.flight = self.queue.next(&self.owed, now).and_then(|request| {
-                let part = part(&request, 0)?;
-                Some(Flight {
-                    phase: Phase::Ready,
-                    retries_left: request.retries,
-                    unanswered: 0,
-                    moved: 0,
-                    part,
-                    joined: Vec::new(),
-                    request,
-                })
-            });
-            if self.flight.is_some() {
-                around.host.output.reserve();
+        if self.flight.is_none()
+            && let Some(request) = around.next(&mut self.queue, &self.owed, now)
+        {
+            match part(&request, 0) {
+                Some(part) => {
+                    self.flight = Some(Flight {
+                        phase: Phase::Ready,
+                        retries_left: request.retries,
+                        unanswered: 0,
+                        moved: 0,
+                        part,
+                        joined: Vec::new(),
+                        request,
+                    });
+                }
+                // what was judged at the door always has a first part
+                None => around.release(&request),
             }
         }
         let Some(flight) = &mut self.flight else { return };
@@ -295,7 +301,7 @@ impl CanBus {
         } else {
             &mut around.counters.timeouts
         });
-        flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+        around.fail(&flight.request);
         self.finish(around);
     }
 
@@ -311,14 +317,14 @@ impl CanBus {
         } else {
             let until = sent.after(flight.request.hold_off);
             self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            around.give_up(&flight.request, now);
             self.finish(around);
         }
     }
 
     fn finish(&mut self, around: &mut Surroundings<'_>) {
-        if self.flight.take().is_some() {
-            around.host.output.release();
+        if let Some(flight) = self.flight.take() {
+            around.release(&flight.request);
         }
     }
 }
@@ -347,8 +353,8 @@ fn part(request: &Request, moved: u8) -> Option<Part> {
     Some(Part { body, expected: ExpectedReply::new(remote, &part), length: part.length() })
 }
 
-/// Joins the parts' replies into the reply to the host.
-fn answer(flight: &Flight, took: Duration, around: &mut Surroundings<'_>) {
+/// Joins the parts' replies into the reply to the whole request.
+fn answer(flight: &Flight, sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
     let function = FunctionCode::from_code(flight.request.function);
     let reply = if function.is_read() {
         Reply::Data { function, data: &flight.joined }
@@ -358,6 +364,6 @@ fn answer(flight: &Flight, took: Duration, around: &mut Surroundings<'_>) {
     let mut buffer = [0; FRAME_MAX];
     let mut writer = Writer::new(&mut buffer);
     if reply.encode(&mut writer).is_ok() {
-        around.answer(&flight.request, writer.finish(), took);
+        around.answer(&flight.request, writer.finish(), sent, now);
     }
 }

@@ -6,6 +6,8 @@ pub mod config;
 mod counters;
 mod host;
 mod own;
+mod polling;
+mod quarantine;
 mod serial;
 mod transaction;
 
@@ -21,11 +23,15 @@ use jointbus_protocol::ndam9010::{self, ChannelError, Layout, RamModule};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
+use own::Diagnostics;
+use polling::Polling;
+use quarantine::{Admission, Quarantine};
 use serial::SerialBus;
 use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
 
 pub use counters::Counters;
 pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
+pub use polling::{SLOTS, Slot, SlotState};
 
 /// Channels of the board as an NDAM module.
 pub const LOCAL_IO: Layout =
@@ -48,6 +54,9 @@ pub struct Engine {
     output: Output,
     counters: [Counters; 4],
     reply_times: [ReplyTime; ROUTES],
+    diagnostics: Diagnostics,
+    quarantine: Quarantine,
+    polling: Polling,
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
@@ -77,6 +86,9 @@ impl Engine {
             output: Output::new(),
             counters: [Counters::default(); 4],
             reply_times: [ReplyTime::default(); ROUTES],
+            diagnostics: Diagnostics::default(),
+            quarantine: Quarantine::default(),
+            polling: Polling::default(),
             rs485_a: SerialBus::new(now),
             rs485_b: SerialBus::new(now),
             can: CanBus::new(network.port(Port::Can).node),
@@ -234,6 +246,12 @@ impl Engine {
         self.counters.get(port.index()).copied().unwrap_or_default()
     }
 
+    /// A polling slot and its newest sample; `None` past the last one.
+    #[must_use]
+    pub fn slot(&self, index: usize) -> Option<&Slot> {
+        self.polling.slot(index)
+    }
+
     /// Replies to reads that came over CAN with function code 0x10, as the NST manual prints them (4.3.2.10).
     #[must_use]
     pub const fn quirks(&self) -> u32 {
@@ -244,6 +262,7 @@ impl Engine {
     pub fn poll(&mut self, now: Instant) {
         self.roll_back(now);
         self.host_silence(now);
+        self.polling.tick(now);
         let event = self.host.poll(&HostFormat(&self.live), now).map(apart);
         if let Some(event) = event {
             self.take(event, now);
@@ -267,6 +286,7 @@ impl Engine {
             self.confirm_until,
             silence.map(|last| last.after(self.host_silence_limit())),
             self.host.deadline(),
+            self.polling.deadline(),
             serial(&self.rs485_a, Port::Rs485A),
             serial(&self.rs485_b, Port::Rs485B),
             self.can.deadline(),
@@ -346,10 +366,30 @@ impl Engine {
         };
         let function = asked.function().code();
         let request = Request::new(unit, function, Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request
-            && self.send(route.bus, request, now).is_err()
-        {
-            self.refuse(unit, None);
+        if let Some(request) = request {
+            self.admit(&route, request, now);
+        }
+    }
+
+    /// Hands a request to its bus, unless its unit is in quarantine or the queue is full.
+    fn admit(&mut self, route: &Route, mut request: Request, now: Instant) {
+        let (unit, function) = (request.unit, request.function);
+        let waits = match route.bus {
+            Bus::Rs485A => self.rs485_a.holds(&request, now),
+            Bus::Rs485B => self.rs485_b.holds(&request, now),
+            _ => self.can.holds(&request, now),
+        };
+        let refusal = match self.quarantine.admit(unit, waits, &self.limits, now) {
+            Admission::Refused => Some(ExceptionCode::GatewayTargetDeviceFailedToRespond),
+            admission => {
+                if admission == Admission::Probe {
+                    request.retries = 0;
+                }
+                self.send(route.bus, request, now).err().map(|QueueFull| ExceptionCode::ServerDeviceBusy)
+            }
+        };
+        if let Some(exception) = refusal {
+            self.refuse(unit, (!route.protocol.is_nst()).then_some((function, exception)));
         }
     }
 
@@ -362,13 +402,19 @@ impl Engine {
         body: &[u8],
         now: Instant,
     ) {
-        let Ok(asked) = modbus::Request::decode(body) else { return };
+        let asked = match modbus::Request::decode(body) {
+            Ok(asked) => asked,
+            Err(error) => {
+                let [counters, ..] = &mut self.counters;
+                return self.output.respond(counters, unit, &modbus::server::malformed(error));
+            }
+        };
         let function = asked.function();
-        if route.refuse_writes && !function.is_read() {
+        if route.refuse_writes && !asked.is_read() {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
         if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
-            return self.serve_local(unit, route.bus, &asked, now);
+            return self.serve_local(unit, route.bus, &asked, body, now);
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
@@ -376,15 +422,13 @@ impl Engine {
         let content = readdress(frame, remote, &mut buffer);
         let request =
             Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request
-            && self.send(route.bus, request, now).is_err()
-        {
-            self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+        if let Some(request) = request {
+            self.admit(&route, request, now);
         }
     }
 
     /// Answers for one of the board's own units.
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, now: Instant) {
+    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
         if !self.output.has_room() {
             return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
         }
@@ -392,7 +436,7 @@ impl Engine {
         let response = match bus {
             Bus::LocalOutputs => self.outputs.dispatch(asked, &mut data),
             Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut data),
-            _ => self.serve_own(asked, &mut data, now),
+            _ => return self.serve_own(unit, pdu, now),
         };
         let [counters, ..] = &mut self.counters;
         self.output.respond(counters, unit, &response);
@@ -401,7 +445,7 @@ impl Engine {
     /// A broadcast of Modbus: writes only, never answered.
     fn broadcast_modbus(&mut self, frame: &[u8], body: &[u8], to: &[Bus], now: Instant) {
         let Ok(asked) = modbus::Request::decode(body) else { return };
-        if asked.function().is_read() {
+        if asked.is_read() {
             return self.refuse(modbus::BROADCAST, None);
         }
         let routes = self.live.routes;
@@ -475,6 +519,10 @@ impl Engine {
     /// Makes ports and routes live, dropping what waits or is in flight where something changed.
     fn go_live(&mut self, network: Network, now: Instant) {
         let former = core::mem::replace(&mut self.live, network);
+        for (old, new) in former.routes.iter().zip(&network.routes).filter(|(old, new)| old != new) {
+            self.quarantine.forget(old);
+            self.quarantine.forget(new);
+        }
         for (port, bus) in [(Port::Rs485A, Bus::Rs485A), (Port::Rs485B, Bus::Rs485B), (Port::Can, Bus::Can)] {
             let rows = former.routes.iter().zip(&network.routes);
             let moved = rows.into_iter().any(|(old, new)| old != new && (old.bus == bus || new.bus == bus));
@@ -524,16 +572,34 @@ impl Engine {
             Port::Rs485B => (&mut self.rs485_b, rs485_b),
             Port::Host | Port::Can => return None,
         };
-        let host = HostSide { output: &mut self.output, counters: host };
-        let port = self.live.port(port);
-        Some((bus, Surroundings { host, port, counters, reply_times: &mut self.reply_times }))
+        let around = Surroundings {
+            host: HostSide { output: &mut self.output, counters: host },
+            port: self.live.port(port),
+            counters,
+            reply_times: &mut self.reply_times,
+            quarantine: &mut self.quarantine,
+            limits: &self.limits,
+            network: &self.live,
+            bus: if port == Port::Rs485A { Bus::Rs485A } else { Bus::Rs485B },
+            polling: &mut self.polling,
+        };
+        Some((bus, around))
     }
 
     fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
         let [host, _, _, counters] = &mut self.counters;
-        let host = HostSide { output: &mut self.output, counters: host };
-        let port = self.live.port(Port::Can);
-        (&mut self.can, Surroundings { host, port, counters, reply_times: &mut self.reply_times })
+        let around = Surroundings {
+            host: HostSide { output: &mut self.output, counters: host },
+            port: self.live.port(Port::Can),
+            counters,
+            reply_times: &mut self.reply_times,
+            quarantine: &mut self.quarantine,
+            limits: &self.limits,
+            network: &self.live,
+            bus: Bus::Can,
+            polling: &mut self.polling,
+        };
+        (&mut self.can, around)
     }
 }
 

@@ -3,9 +3,10 @@
 use super::Engine;
 use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
 use super::counters::Counters;
-use jointbus_protocol::modbus::{
-    ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
-};
+use super::polling::{Polling, SLOTS, Slot};
+use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
+use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
+use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -90,36 +91,122 @@ const INPUT_LAST: u16 = 0x02FF;
 struct Settings {
     staged: Network,
     limits: Limits,
+    /// Unit and period of each polling slot.
+    slots: [(u8, u16); SLOTS],
+}
+
+/// What function code 08 counts beside the host port's counters.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Diagnostics {
+    /// Requests to the bridge itself.
+    requests: u16,
+    /// Exceptions with which it answered.
+    exceptions: u16,
+}
+
+/// The bridge's registers, at one moment.
+struct Own<'a> {
+    engine: &'a mut Engine,
+    now: Instant,
+}
+
+impl Server for Own<'_> {
+    fn supports(&self, function: FunctionCode) -> bool {
+        matches!(
+            function,
+            FunctionCode::ReadHoldingRegisters
+                | FunctionCode::ReadInputRegisters
+                | FunctionCode::WriteSingleRegister
+                | FunctionCode::WriteMultipleRegisters
+                | FunctionCode::Diagnostics
+                | FunctionCode::ReportServerId
+                | FunctionCode::EncapsulatedInterface
+        )
+    }
+
+    fn read_holding_registers(
+        &mut self,
+        range: Range,
+        mut out: RegistersMut<'_>,
+    ) -> Result<(), ExceptionCode> {
+        out.fill(range.addresses().map(|address| self.engine.holding(address)));
+        Ok(())
+    }
+
+    fn read_input_registers(&mut self, range: Range, mut out: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+        if !range.within(0, INPUT_LAST) {
+            return Err(ExceptionCode::IllegalDataAddress);
+        }
+        out.fill(range.addresses().map(|address| self.engine.input(address, self.now)));
+        Ok(())
+    }
+
+    fn write_registers(&mut self, range: Range, values: Registers<'_>) -> Result<(), ExceptionCode> {
+        self.engine.write_own(range, values, self.now)
+    }
+
+    fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+        let [host, ..] = &self.engine.counters;
+        let Diagnostics { requests, exceptions } = self.engine.diagnostics;
+        let count = match what {
+            Diagnostic::ReturnQueryData => return Ok(()),
+            _ if data.get(0) != Some(0) => return Err(ExceptionCode::IllegalDataValue),
+            Diagnostic::ClearCounters => {
+                self.engine.clear_counters();
+                return Ok(());
+            }
+            Diagnostic::BusMessageCount => host.received as u16,
+            Diagnostic::BusCommunicationErrorCount => host.checksum_errors as u16,
+            Diagnostic::BusExceptionErrorCount => exceptions,
+            Diagnostic::ServerMessageCount => requests,
+            // a broadcast does not reach the bridge itself, and everything else it answers
+            Diagnostic::ServerNoResponseCount => 0,
+            Diagnostic::BusCharacterOverrunCount => host.overruns as u16,
+            _ => return Err(ExceptionCode::IllegalFunction),
+        };
+        data.set(0, count);
+        Ok(())
+    }
+
+    fn server_id(&mut self) -> Result<&[u8], ExceptionCode> {
+        // its unit from the factory, running
+        Ok(b"\xF7\xFFjointbus")
+    }
+
+    fn conformity(&self) -> Conformity {
+        Conformity::RegularIndividual
+    }
+
+    fn identification(&self, object: ObjectId) -> Option<&[u8]> {
+        match object {
+            ObjectId::VendorName | ObjectId::ProductName => Some(b"Jointbus"),
+            ObjectId::ProductCode => Some(b"jointbus-mcu-bridge"),
+            ObjectId::MajorMinorRevision => Some(env!("CARGO_PKG_VERSION").as_bytes()),
+            ObjectId::ModelName => Some(b"NST, NXI-6201 and NDAM-9010 bridge"),
+            ObjectId::UserApplicationName => Some(b"bridge"),
+            ObjectId::VendorUrl | ObjectId::Unknown(_) => None,
+        }
+    }
 }
 
 impl Engine {
-    /// Judges a request to the bridge itself whole, then carries it out whole.
-    pub(super) fn serve_own<'d>(
-        &mut self,
-        request: &Request<'_>,
-        data: &'d mut [u8],
-        now: Instant,
-    ) -> Response<'d> {
-        let function = request.function();
-        let result = match *request {
-            Request::ReadHoldingRegisters(range) => {
-                let (staged, limits) = (&self.staged, &self.limits);
-                fill(range, u16::MAX, data, |address| holding(staged, limits, address))
-                    .map(|data| Response::Read { function, data })
-            }
-            Request::ReadInputRegisters(range) => {
-                fill(range, INPUT_LAST, data, |address| self.input(address, now))
-                    .map(|data| Response::Read { function, data })
-            }
-            Request::WriteSingleRegister { address, value } => self
-                .write_own(Range::new(address, 1), &value.to_be_bytes(), now)
-                .map(|()| Response::WriteSingle { function, address, value }),
-            Request::WriteMultipleRegisters { range, data } => {
-                self.write_own(range, data, now).map(|()| Response::WriteMultiple { function, range })
-            }
-            _ => Err(ExceptionCode::IllegalFunction),
+    /// Answers a request to the bridge itself.
+    pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
+        self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
+        let mut response = [0; PDU_MAX];
+        let Ok(response) = server::respond(&mut Own { engine: self, now }, pdu, &mut response) else {
+            return;
         };
-        result.unwrap_or_else(|exception| Response::exception(function, exception))
+        if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {
+            self.diagnostics.exceptions = self.diagnostics.exceptions.wrapping_add(1);
+        }
+        let [counters, ..] = &mut self.counters;
+        self.output.relay(counters, unit, response);
+    }
+
+    fn clear_counters(&mut self) {
+        self.counters = Default::default();
+        self.diagnostics = Diagnostics::default();
     }
 
     fn input(&self, address: u16, now: Instant) -> u16 {
@@ -133,7 +220,8 @@ impl Engine {
             0x0008 => self.identity.reset_cause.value(),
             0x0009 => self.health_bits(),
             0x0020..=0x009F => self.counter(address.wrapping_sub(0x0020)),
-            0x0200..=0x023F => self.reply_time(address.wrapping_sub(0x0200)),
+            0x0100..=0x01FF => self.slot_register(address.wrapping_sub(0x0100), now),
+            0x0200..=0x023F => self.device_state(address.wrapping_sub(0x0200)),
             _ => 0,
         }
     }
@@ -150,24 +238,47 @@ impl Engine {
         word(port.and_then(counter).unwrap_or(0).into(), 2, offset % 2)
     }
 
-    fn reply_time(&self, offset: u16) -> u16 {
-        let Some(time) = self.reply_times.get(usize::from(offset / 4)) else { return 0 };
+    fn slot_register(&self, offset: u16, now: Instant) -> u16 {
+        let Some(slot) = self.polling.slot(usize::from(offset / 0x20)) else { return 0 };
+        let place = offset % 0x20;
+        match place {
+            0 => slot.state(now).value(),
+            1 => slot.unit.into(),
+            2..=3 => word(slot.sequence.into(), 2, place.wrapping_sub(2)),
+            4..=7 => word(slot.stamp.as_micros(), 4, place.wrapping_sub(4)),
+            8..=9 => word(slot.missed.into(), 2, place.wrapping_sub(8)),
+            10..=11 => word(slot.failures.into(), 2, place.wrapping_sub(10)),
+            12..=23 => {
+                let place = place.wrapping_sub(12);
+                let axis = slot.sample.0.get(usize::from(place / 2)).copied().unwrap_or(0);
+                word(u64::from(axis as u32), 2, place % 2)
+            }
+            _ => 0,
+        }
+    }
+
+    fn device_state(&self, offset: u16) -> u16 {
+        let index = usize::from(offset / 4);
+        let (Some(time), Some(route)) = (self.reply_times.get(index), self.live.routes.get(index)) else {
+            return 0;
+        };
         let tens = |span: Duration| u16::try_from(span.as_micros() / 10).unwrap_or(u16::MAX);
         match offset % 4 {
+            0 => self.quarantine.mask(route, &self.limits),
             1 => tens(time.last),
             2 => tens(time.largest),
             _ => 0,
         }
     }
 
-    fn write_own(&mut self, range: Range, data: &[u8], now: Instant) -> Result<(), ExceptionCode> {
-        check(range, WRITE_REGISTERS_MAX, u16::MAX)?;
-        if data.len() != usize::from(range.quantity).wrapping_mul(2) {
-            return Err(ExceptionCode::IllegalDataValue);
-        }
-        let mut settings = Settings { staged: self.staged, limits: self.limits };
+    fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
+        let slots = core::array::from_fn(|index| {
+            let slot = self.polling.slot(index).copied().unwrap_or_default();
+            (slot.unit, slot.period_100us)
+        });
+        let mut settings = Settings { staged: self.staged, limits: self.limits, slots };
         let mut command = None;
-        for (address, value) in range.addresses().zip(registers(data)) {
+        for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
                 _ => settings.write(address, value)?,
@@ -178,6 +289,13 @@ impl Engine {
         }
         self.staged = settings.staged;
         self.limits = settings.limits;
+        for (index, ((unit, period), (former_unit, former_period))) in
+            settings.slots.into_iter().zip(slots).enumerate()
+        {
+            if (unit, period) != (former_unit, former_period) {
+                self.polling.set(index, Slot::new(unit, period, now));
+            }
+        }
         self.host.set_silence(self.limits.burst_silence());
         Ok(())
     }
@@ -201,10 +319,11 @@ impl Engine {
             command::DEFAULTS => {
                 self.staged = Network::default();
                 self.limits = Limits::default();
+                self.polling = Polling::default();
                 self.host.set_silence(self.limits.burst_silence());
             }
             command::REBOOT => self.command = Some(Command::Reboot),
-            command::CLEAR_COUNTERS => self.counters = Default::default(),
+            command::CLEAR_COUNTERS => self.clear_counters(),
             _ => return Err(ExceptionCode::IllegalDataValue),
         }
         Ok(())
@@ -220,50 +339,39 @@ impl Engine {
     }
 }
 
-/// Judges addresses and quantity of a request.
-fn check(range: Range, most: u16, last: u16) -> Result<(), ExceptionCode> {
-    if range.quantity == 0 || range.quantity > most {
-        return Err(ExceptionCode::IllegalDataValue);
-    }
-    if range.within(0, last) { Ok(()) } else { Err(ExceptionCode::IllegalDataAddress) }
-}
-
-/// Fills the data of a read.
-fn fill(
-    range: Range,
-    last: u16,
-    data: &mut [u8],
-    value: impl Fn(u16) -> u16,
-) -> Result<&[u8], ExceptionCode> {
-    check(range, READ_REGISTERS_MAX, last)?;
-    let length = usize::from(range.quantity).wrapping_mul(2);
-    let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
-    for (place, address) in data.as_chunks_mut::<2>().0.iter_mut().zip(range.addresses()) {
-        *place = value(address).to_be_bytes();
-    }
-    Ok(data)
-}
-
 /// Word `index` of a value of so many words, high word first.
 const fn word(value: u64, words: u16, index: u16) -> u16 {
     let place = words.wrapping_sub(1).wrapping_sub(index) as u32;
     value.wrapping_shr(place.wrapping_mul(16)) as u16
 }
 
-/// A holding register; what is not listed reads 0.
-fn holding(staged: &Network, limits: &Limits, address: u16) -> u16 {
-    match address {
-        0x0010..=0x002F => {
-            let offset = address.wrapping_sub(0x0010);
-            staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
+impl Engine {
+    /// A holding register; what is not listed reads 0.
+    fn holding(&self, address: u16) -> u16 {
+        let (staged, limits) = (&self.staged, &self.limits);
+        match address {
+            0x0010..=0x002F => {
+                let offset = address.wrapping_sub(0x0010);
+                staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
+            }
+            0x0040 => limits.quarantine_after.into(),
+            0x0041 => limits.probe_period_ms,
+            0x0042 => limits.host_silence_ms,
+            0x0043 => limits.burst_silence_100us,
+            0x0050..=0x005F => {
+                let offset = address.wrapping_sub(0x0050);
+                let slot = self.polling.slot(usize::from(offset / 2));
+                slot.map_or(
+                    0,
+                    |slot| if offset.is_multiple_of(2) { slot.unit.into() } else { slot.period_100us },
+                )
+            }
+            0x0100..=0x01FF => {
+                let offset = address.wrapping_sub(0x0100);
+                staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
+            }
+            _ => 0,
         }
-        0x0042 => limits.host_silence_ms,
-        0x0043 => limits.burst_silence_100us,
-        0x0100..=0x01FF => {
-            let offset = address.wrapping_sub(0x0100);
-            staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
-        }
-        _ => 0,
     }
 }
 
@@ -279,12 +387,29 @@ impl Settings {
                 let port = self.staged.ports.get_mut(usize::from(offset / 8)).ok_or(unlisted)?;
                 port.set_register(offset % 8, value)
             }
+            0x0040 => {
+                self.limits.quarantine_after = byte(value)?;
+                Ok(())
+            }
+            0x0041 => {
+                self.limits.probe_period_ms = at_least_1(value)?;
+                Ok(())
+            }
             0x0042 => {
                 self.limits.host_silence_ms = value;
                 Ok(())
             }
             0x0043 => {
                 self.limits.burst_silence_100us = at_least_1(value)?;
+                Ok(())
+            }
+            0x0050..=0x005F => {
+                let offset = address.wrapping_sub(0x0050);
+                let (unit, period) = self.slots.get_mut(usize::from(offset / 2)).ok_or(unlisted)?;
+                match offset % 2 {
+                    0 => *unit = byte(value)?,
+                    _ => *period = value,
+                }
                 Ok(())
             }
             0x0100..=0x01FF => {
@@ -352,11 +477,7 @@ impl PortConfig {
             }
             2 => self.gap_100us = value,
             3 => self.node = byte(value)?,
-            // echo is not handled yet: what can't be done is refused
-            4 => {
-                self.echo = flag(value)
-                    .and_then(|on| if on { Err(ExceptionCode::IllegalDataValue) } else { Ok(on) })?
-            }
+            4 => self.echo = flag(value)?,
             _ => return Err(ExceptionCode::IllegalDataAddress),
         }
         Ok(())

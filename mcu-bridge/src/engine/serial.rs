@@ -5,7 +5,6 @@ use super::host::FRAME_MAX;
 use super::transaction::{KINDS, OwedReplies, Queue, QueueFull, Request, Surroundings, Wanted};
 use jointbus_protocol::checksum;
 use jointbus_protocol::deframe::ReplySearch;
-use jointbus_protocol::modbus::ExceptionCode;
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Bytes that the search for a reply looks back on.
@@ -31,6 +30,37 @@ struct Flight {
     retries_left: u8,
     /// Attempts that timed out.
     unanswered: u8,
+    /// What came back of this attempt, where the port hears itself.
+    echo: Echo,
+}
+
+impl Flight {
+    /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
+    fn count_collision(&self, around: &mut Surroundings<'_>) {
+        if around.port.echo && (self.echo.collided || self.echo.heard < self.request.content.len()) {
+            count(&mut around.counters.transmit_errors);
+        }
+    }
+}
+
+/// The bytes that a port hears of what it sends.
+#[derive(Debug, Clone, Copy, Default)]
+struct Echo {
+    /// How many came back.
+    heard: usize,
+    /// One of them was another: somebody else was sending.
+    collided: bool,
+}
+
+impl Echo {
+    /// Takes the echo of `sent` from the front of `bytes`.
+    fn take<'b>(&mut self, sent: &[u8], bytes: &'b [u8]) -> &'b [u8] {
+        let expected = sent.get(self.heard..).unwrap_or(&[]);
+        let (echo, rest) = bytes.split_at_checked(expected.len()).unwrap_or((bytes, &[]));
+        self.collided |= expected.iter().zip(echo).any(|(sent, heard)| sent != heard);
+        self.heard = self.heard.saturating_add(echo.len());
+        rest
+    }
 }
 
 /// A serial bus.
@@ -65,6 +95,11 @@ impl SerialBus {
         let result = self.queue.push(request);
         self.take_next(now, around);
         result
+    }
+
+    /// Whether a request would have to wait for a reply that its unit owes.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
+        self.owed.holds(request, now)
     }
 
     /// What the port is to send.
@@ -108,6 +143,12 @@ impl SerialBus {
     /// Takes bytes from the line, the last of which ended at `now`.
     pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, around: &mut Surroundings<'_>) {
         self.busy = now;
+        if let Some(flight) = &mut self.flight
+            && around.port.echo
+            && flight.phase != Phase::Ready
+        {
+            bytes = flight.echo.take(&flight.request.content, bytes);
+        }
         if matches!(&self.flight, Some(Flight { phase: Phase::Sending { .. }, .. })) {
             return;
         }
@@ -124,7 +165,7 @@ impl SerialBus {
                 count(&mut around.counters.foreign_or_late);
                 self.owed.settle(index);
             } else if let (Some((request, sent)), Some(content)) = (waiting, content(frame)) {
-                around.answer(request, content, now.since(sent));
+                around.answer(request, content, sent, now);
                 self.finish(around);
             }
         }
@@ -166,8 +207,8 @@ impl SerialBus {
     /// Drops everything that waits or is in flight.
     pub(super) fn reset(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
-            around.host.output.release();
+            around.fail(&flight.request);
+            around.release(&flight.request);
         }
         self.queue.clear(&mut around.host);
         self.owed = OwedReplies::new();
@@ -177,20 +218,14 @@ impl SerialBus {
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if self.flight.is_none()
-            && !self.queue.is_empty()
-            && !self.owed.is_full()
-            && around.host.output.has_room()
-        {
-            self.flight = self.queue.next(&self.owed, now).map(|request| Flight {
+        if self.flight.is_none() {
+            self.flight = around.next(&mut self.queue, &self.owed, now).map(|request| Flight {
                 retries_left: request.retries,
                 unanswered: 0,
+                echo: Echo::default(),
                 request,
                 phase: Phase::Ready,
             });
-            if self.flight.is_some() {
-                around.host.output.reserve();
-            }
         }
         if let Some(flight) = &mut self.flight
             && flight.phase == Phase::Ready
@@ -199,6 +234,7 @@ impl SerialBus {
             let on_wire = around.port.characters(flight.request.content.len());
             let limit = now.after(on_wire).after(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { handed: 0, limit };
+            flight.echo = Echo::default();
         }
     }
 
@@ -209,7 +245,7 @@ impl SerialBus {
             if flight.unanswered == 0 {
                 count(&mut around.counters.expired);
             }
-            flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            around.fail(&flight.request);
             self.finish(around);
         }
     }
@@ -218,6 +254,7 @@ impl SerialBus {
         count(&mut around.counters.timeouts);
         self.discard(around);
         let Some(flight) = &mut self.flight else { return };
+        flight.count_collision(around);
         flight.unanswered = flight.unanswered.saturating_add(1);
         if flight.retries_left > 0 && now < flight.request.expires {
             flight.retries_left = flight.retries_left.saturating_sub(1);
@@ -225,14 +262,17 @@ impl SerialBus {
             count(&mut around.counters.retries);
             return;
         }
-        flight.request.fail(&mut around.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+        around.give_up(&flight.request, now);
         self.finish(around);
     }
 
     /// Ends the transaction; what its device left unanswered is owed.
     fn finish(&mut self, around: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.take() else { return };
-        around.host.output.release();
+        around.release(&flight.request);
+        if flight.request.expected.is_none() {
+            flight.count_collision(around);
+        }
         if let (Some(expected), Phase::Waiting { sent, .. }) = (flight.request.expected, flight.phase) {
             self.owed.add(expected, flight.unanswered, sent.after(flight.request.hold_off));
         }
@@ -251,6 +291,7 @@ impl SerialBus {
         let Some(Flight { request, phase: Phase::Waiting { sent, .. }, .. }) = &self.flight else { return };
         let Some(expected) = &request.expected else { return };
         let found = self.search.at_silence(|frame| expected.accepts(frame));
+<<<<<<< HEAD
         match found.and_then(content) {
             Some(content) => {
                 count(&mut around.counters.received);
@@ -259,6 +300,12 @@ impl SerialBus {
             }
             // silence has ended whatever it was; kept, it would be due again at once and until the timeout
             None => self.discard(around),
+=======
+        if let Some(content) = found.and_then(content) {
+            count(&mut around.counters.received);
+            around.answer(request, content, *sent, self.busy);
+            self.finish(around);
+>>>>>>> main
         }
     }
 

@@ -1,8 +1,10 @@
 //! A request on its way over a bus: what it waits for, in which order, and who still owes a reply.
 
-use super::config::{PortConfig, ROUTES, Route};
+use super::config::{Bus, Limits, Network, PortConfig, ROUTES, Route};
 use super::counters::{Counters, count};
 use super::host::{FRAME_MAX, Output};
+use super::polling::Polling;
+use super::quarantine::{Admission, Quarantine};
 use heapless::Vec;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
@@ -26,7 +28,7 @@ impl Expected {
 
     pub(super) const fn is_read(&self) -> bool {
         match self {
-            Self::Modbus(expected) => expected.function().is_read(),
+            Self::Modbus(expected) => expected.is_read(),
             Self::Nst(expected) => expected.function().is_read(),
         }
     }
@@ -66,9 +68,19 @@ impl Expected {
     }
 }
 
-/// A request of the host for a bus.
+/// Who wants the answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Origin {
+    Host,
+    /// A polling slot.
+    Slot(usize),
+}
+
+/// A request for a bus.
 #[derive(Debug, Clone)]
 pub(super) struct Request {
+    /// Who wants the answer.
+    pub(super) origin: Origin,
     /// Unit that the host sees.
     pub(super) unit: u8,
     /// Number of its route; a broadcast has none.
@@ -100,6 +112,7 @@ impl Request {
     ) -> Option<Self> {
         let is_read = expected.is_some_and(|expected| expected.is_read());
         Some(Self {
+            origin: Origin::Host,
             unit,
             route: route_number,
             expected,
@@ -117,7 +130,7 @@ impl Request {
     }
 
     /// Tells the host that there is no answer: an exception, for NST silence.
-    pub(super) fn fail(&self, host: &mut HostSide<'_>, why: ExceptionCode) {
+    fn fail(&self, host: &mut HostSide<'_>, why: ExceptionCode) {
         if let Some(Expected::Modbus(_)) = self.expected {
             host.output.refuse(host.counters, self.unit, self.function, why);
         }
@@ -143,17 +156,71 @@ pub(super) struct Surroundings<'a> {
     pub(super) port: &'a PortConfig,
     pub(super) counters: &'a mut Counters,
     pub(super) reply_times: &'a mut [ReplyTime; ROUTES],
+    pub(super) quarantine: &'a mut Quarantine,
+    pub(super) limits: &'a Limits,
+    pub(super) network: &'a Network,
+    pub(super) bus: Bus,
+    pub(super) polling: &'a mut Polling,
 }
 
 impl Surroundings<'_> {
-    /// Hands the reply to a request to the host.
-    pub(super) fn answer(&mut self, request: &Request, content: &[u8], took: Duration) {
-        self.host.output.relay(self.host.counters, request.unit, content);
+    /// The next request for the bus: the host's go before the bridge's own polling.
+    pub(super) fn next(&mut self, queue: &mut Queue, owed: &OwedReplies, now: Instant) -> Option<Request> {
+        if owed.is_full() {
+            return None;
+        }
+        if self.host.output.has_room()
+            && let Some(request) = queue.next(owed, now)
+        {
+            self.host.output.reserve();
+            return Some(request);
+        }
+        loop {
+            let request =
+                self.polling.next(self.bus, self.network, now, |request| owed.holds(request, now))?;
+            match self.quarantine.admit(request.unit, false, self.limits, now) {
+                Admission::Normal | Admission::Probe => return Some(request),
+                // no longer due, so the next look finds another slot or none
+                Admission::Refused => self.fail(&request),
+            }
+        }
+    }
+
+    /// A transaction has ended.
+    pub(super) fn release(&mut self, request: &Request) {
+        if request.origin == Origin::Host {
+            self.host.output.release();
+        }
+    }
+
+    /// Hands the reply to a request, which ended at `now`, to who wants it.
+    pub(super) fn answer(&mut self, request: &Request, content: &[u8], sent: Instant, now: Instant) {
+        match request.origin {
+            Origin::Host => self.host.output.relay(self.host.counters, request.unit, content),
+            Origin::Slot(index) => self.polling.answered(index, content, now),
+        }
+        self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
-            time.last = took;
-            time.largest = time.largest.max(took);
+            time.last = now.since(sent);
+            time.largest = time.largest.max(time.last);
         }
+    }
+
+    /// A request has no answer.
+    pub(super) fn fail(&mut self, request: &Request) {
+        match request.origin {
+            Origin::Host => {
+                request.fail(&mut self.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
+            }
+            Origin::Slot(index) => self.polling.failed(index),
+        }
+    }
+
+    /// A request was sent, and nobody answered it.
+    pub(super) fn give_up(&mut self, request: &Request, now: Instant) {
+        self.quarantine.unanswered(request.unit, self.limits, now);
+        self.fail(request);
     }
 }
 
@@ -176,10 +243,6 @@ impl Queue {
     /// Takes a request.
     pub(super) fn push(&mut self, request: Request) -> Result<(), QueueFull> {
         self.0.push(request).map_err(|_| QueueFull)
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
     }
 
     /// Takes out the next request: writes before reads of other units, in order for each unit, also behind one that
@@ -273,7 +336,8 @@ impl OwedReplies {
         self.0.iter().map(|owed| owed.until).min()
     }
 
-    fn holds(&self, request: &Request, now: Instant) -> bool {
+    /// Whether a request would have to wait for one.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         request.expected.is_some_and(|asked| {
             self.0.iter().any(|owed| now < owed.until && owed.expected.could_answer(&asked))
         })

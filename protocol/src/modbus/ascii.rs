@@ -6,6 +6,7 @@
 
 use super::{PDU_MAX, Request, Response};
 use crate::checksum;
+use crate::error::error_text;
 use crate::wire::{NoSpace, Writer};
 
 /// Longest frame in characters.
@@ -274,6 +275,17 @@ impl Deframer {
     const fn start(&mut self) {
         self.used = 0;
         self.state = State::High;
+    }
+}
+
+error_text! {
+    FrameError {
+        FrameError::Character(character) => ("character {character:#04x} is not hexadecimal"),
+        FrameError::Length => ("half a byte, or too few of them"),
+        FrameError::Checksum => ("the LRC does not fit"),
+        FrameError::Endless => ("longer than a frame can be"),
+        FrameError::Restarted => ("a colon inside a frame"),
+        FrameError::Delimiter => ("not between colon and CR LF"),
     }
 }
 

@@ -54,6 +54,31 @@ impl ExpectedResponse {
         }
     }
 
+    /// What `unit` may answer to some request of this function code.
+    pub(super) const fn any(unit: u8, function: FunctionCode) -> Self {
+        use FunctionCode as F;
+        let shape = match function {
+            F::ReadCoils
+            | F::ReadDiscreteInputs
+            | F::ReadHoldingRegisters
+            | F::ReadInputRegisters
+            | F::GetCommEventLog
+            | F::ReportServerId
+            | F::ReadWriteMultipleRegisters => Shape::Counted,
+            F::WriteSingleCoil
+            | F::WriteSingleRegister
+            | F::Diagnostics
+            | F::GetCommEventCounter
+            | F::WriteMultipleCoils
+            | F::WriteMultipleRegisters => Shape::Plain(4),
+            F::ReadExceptionStatus => Shape::Plain(1),
+            F::MaskWriteRegister => Shape::Plain(6),
+            F::EncapsulatedInterface => Shape::Identification,
+            F::Unknown(_) => Shape::Open,
+        };
+        Self { unit, function: function.code(), is_read: function.is_read(), shape }
+    }
+
     /// Unit that was asked.
     #[must_use]
     pub const fn unit(&self) -> u8 {

@@ -1,4 +1,5 @@
 use crate::codes::code_table;
+use crate::error::error_text;
 
 code_table! {
     /// What a request asks for (specification, chapter 6).
@@ -134,5 +135,20 @@ code_table! {
         BusCharacterOverrunCount = 0x0012,
         /// Clear overrun counter and flag
         ClearOverrunCounter = 0x0014,
+    }
+}
+
+error_text! {
+    ExceptionCode {
+        ExceptionCode::IllegalFunction => ("illegal function"),
+        ExceptionCode::IllegalDataAddress => ("illegal data address"),
+        ExceptionCode::IllegalDataValue => ("illegal data value"),
+        ExceptionCode::ServerDeviceFailure => ("server device failure"),
+        ExceptionCode::Acknowledge => ("accepted, and takes long"),
+        ExceptionCode::ServerDeviceBusy => ("server device busy"),
+        ExceptionCode::MemoryParityError => ("memory parity error"),
+        ExceptionCode::GatewayPathUnavailable => ("gateway path unavailable"),
+        ExceptionCode::GatewayTargetDeviceFailedToRespond => ("gateway target device failed to respond"),
+        ExceptionCode::Unknown(code) => ("exception {code:#04x}"),
     }
 }

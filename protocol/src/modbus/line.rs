@@ -32,6 +32,9 @@ pub enum Heard<'a> {
 /// anything wrong nothing is taken until silence. Stray bytes in front of a frame are not forgiven, as
 /// [`BurstDeframer`] does on a line of one's own: the data of a response starts too early for that.
 ///
+/// After power-up and after anything wrong the next frame of another server may be a response to a request that was not
+/// heard, and is judged as such too.
+///
 /// Bytes that our own transmitter sends are not to be fed.
 ///
 /// A frame of another server that is valid up to some length, and by its first bytes can as well be the start of a
@@ -49,8 +52,18 @@ pub struct SharedLine {
 struct Parties {
     first: u8,
     last: u8,
-    /// The request to another server that has not been answered yet.
-    due: Option<ExpectedResponse>,
+    due: Due,
+}
+
+/// Which response may come next.
+#[derive(Debug)]
+enum Due {
+    /// None: the last request is answered, or was ours.
+    Nothing,
+    /// The one to the last request.
+    To(ExpectedResponse),
+    /// Any: the last request was not heard, or not heard well.
+    Unknown,
 }
 
 impl SharedLine {
@@ -58,7 +71,7 @@ impl SharedLine {
     /// ("Modbus over Serial Line", 2.5.1.1), or more where bytes come late.
     #[must_use]
     pub const fn new(units: RangeInclusive<u8>, silence: Duration) -> Self {
-        let parties = Parties { first: *units.start(), last: *units.end(), due: None };
+        let parties = Parties { first: *units.start(), last: *units.end(), due: Due::Unknown };
         Self { deframer: BurstDeframer::new(silence), parties }
     }
 
@@ -97,20 +110,30 @@ impl Parties {
             // silence ended the shorter one of two frames that it could have been
             Event::Dropped { fault: Fault::Incomplete, burst } if self.is_whole(burst) => burst,
             Event::Dropped { fault, burst } => {
-                self.due = None;
+                self.due = Due::Unknown;
                 return Heard::Dropped { fault, burst };
             }
         };
         let Ok(Frame { unit, pdu }) = Frame::decode(frame) else {
             return Heard::Dropped { fault: Fault::Checksum, burst: frame };
         };
+        let due = core::mem::replace(&mut self.due, Due::Nothing);
         if self.are_meant(unit) {
-            self.due = None;
             return Heard::Request(frame);
         }
-        let answered = self.due.take().is_some_and(|due| due.accepts(frame));
-        if !answered {
-            self.due = Request::decode(pdu).ok().map(|request| ExpectedResponse::new(unit, &request));
+        let is_response = match due {
+            Due::Nothing => false,
+            Due::To(expected) => expected.accepts(frame),
+            Due::Unknown => {
+                let length = request_length(frame);
+                length != FrameLength::Exactly(frame.len()) && length != FrameLength::UntilSilence
+            }
+        };
+        if !is_response {
+            self.due = match Request::decode(pdu) {
+                Ok(request) => Due::To(ExpectedResponse::new(unit, &request)),
+                Err(_) => Due::Unknown,
+            };
         }
         Heard::Passed(frame)
     }
@@ -126,7 +149,15 @@ impl Parties {
 
     /// Length of the frame that starts with `prefix`, as a request and as the response that is due.
     fn lengths(&self, prefix: &[u8]) -> [FrameLength; 2] {
-        let response = self.due.map_or(FrameLength::Impossible, |due| due.frame_length(prefix));
+        let response = match (&self.due, prefix) {
+            (Due::Nothing, _) => FrameLength::Impossible,
+            (Due::To(expected), _) => expected.frame_length(prefix),
+            (Due::Unknown, [unit, function, ..]) => {
+                let function = FunctionCode::from_code(function & !FunctionCode::EXCEPTION_FLAG);
+                ExpectedResponse::any(*unit, function).frame_length(prefix)
+            }
+            (Due::Unknown, _) => FrameLength::AtLeast(2),
+        };
         let request = match response {
             FrameLength::Impossible => request_length(prefix),
             _ if counts_wrong(prefix) => FrameLength::Impossible,

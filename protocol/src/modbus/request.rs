@@ -1,5 +1,6 @@
 use super::identification::{self, Category, ObjectId};
 use super::{Diagnostic, FunctionCode, Range};
+use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 /// A request, decoded but not judged: quantities and values are as they came.
@@ -268,6 +269,13 @@ pub(super) fn write_range(writer: &mut Writer<'_>, range: Range) -> Result<(), N
 pub(super) fn write_counted(writer: &mut Writer<'_>, data: &[u8]) -> Result<(), NoSpace> {
     writer.u8(u8::try_from(data.len()).map_err(|_| NoSpace)?)?;
     writer.slice(data)
+}
+
+error_text! {
+    RequestError {
+        RequestError::Empty => ("no function code"),
+        RequestError::Length(function) => ("a wrong length for function code {:#04x}", function.code()),
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 use super::identification::{self, Identification};
 use super::request::{counted, range, rest, write_counted, write_range};
 use super::{Diagnostic, ExceptionCode, FunctionCode, Range};
+use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 /// A server's answer.
@@ -229,6 +230,13 @@ impl<'a> Response<'a> {
     #[must_use]
     pub const fn exception(function: FunctionCode, exception: ExceptionCode) -> Self {
         Self::Exception { function, exception }
+    }
+}
+
+error_text! {
+    ResponseError {
+        ResponseError::Empty => ("no function code"),
+        ResponseError::Length(function) => ("a wrong length for function code {:#04x}", function.code()),
     }
 }
 

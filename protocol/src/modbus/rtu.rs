@@ -3,6 +3,7 @@
 use super::{FunctionCode, Request, Response, identification};
 use crate::checksum;
 use crate::deframe::{Format, FrameLength};
+use crate::error::error_text;
 use crate::wire::{NoSpace, Writer};
 
 pub use super::expected::ExpectedResponse;
@@ -139,6 +140,13 @@ impl Format for Requests {
 
     fn is_broadcast(&self, frame: &[u8]) -> bool {
         frame.first() == Some(&super::BROADCAST)
+    }
+}
+
+error_text! {
+    FrameError {
+        FrameError::Length => ("shorter or longer than a frame can be"),
+        FrameError::Checksum => ("the CRC does not fit"),
     }
 }
 

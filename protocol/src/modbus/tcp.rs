@@ -5,6 +5,7 @@
 //! that the connection is to be closed, and that nothing more of it is to be believed.
 
 use super::{PDU_MAX, Request, Response};
+use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 /// Length of the header.
@@ -203,6 +204,13 @@ impl Deframer {
             self.used = self.used.saturating_add(count);
             *bytes = rest;
         }
+    }
+}
+
+error_text! {
+    FrameError {
+        FrameError::Protocol(protocol) => ("protocol identifier {protocol} instead of 0"),
+        FrameError::Length(length) => ("length {length} instead of 2 to 254"),
     }
 }
 

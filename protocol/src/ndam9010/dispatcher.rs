@@ -1,4 +1,5 @@
 use super::register::{AREA_BITS, AREA_REGISTERS, Area};
+use crate::error::error_text;
 use crate::modbus::{
     COIL_OFF, COIL_ON, ExceptionCode, Range, Request, Response, bit, bytes_of_bits, registers,
 };
@@ -318,6 +319,13 @@ fn write_registers(module: &mut impl Module, range: Range, data: &[u8]) -> Resul
             let first = u8::try_from(first).map_err(|_| ExceptionCode::IllegalDataAddress)?;
             Ok(module.set_analog_outputs(first, values)?)
         }
+    }
+}
+
+error_text! {
+    ChannelError {
+        ChannelError::Failed => ("the channel's driver fails"),
+        ChannelError::Busy => ("the channel's driver is busy"),
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::{BYTE_TIMEOUT_MS, MODULES_MAX, UNIT_MAX};
 use crate::checksum;
+use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Writer};
 
 /// Longest device name and password in bytes (4.5.1, 4.5.2).
@@ -295,6 +296,25 @@ pub fn power_up(dip: u8, storage: &mut impl Storage) -> Result<Start, SettingsEr
     match last {
         Some(last) if dip > 0 && last <= UNIT_MAX => Ok(Start::Run { settings, start_id: dip }),
         _ => Err(SettingsError::StartId),
+    }
+}
+
+error_text! {
+    SettingsError {
+        SettingsError::Text => ("name or password is too long or not printable"),
+        SettingsError::Baud => ("no baud rate of the station"),
+        SettingsError::DataBits => ("the data bits are not 5 to 8, or too few for the mode"),
+        SettingsError::StopBits => ("the stop bits are not 1 or 2"),
+        SettingsError::ByteTimeout => ("a byte timeout of 0"),
+        SettingsError::Modules => ("the modules are not 1 to 8"),
+        SettingsError::Stored => ("no stored form of this version, or damaged"),
+        SettingsError::StartId => ("the units are not within 1 to 247"),
+    }
+}
+
+error_text! {
+    StoreError {
+        StoreError => ("the settings could not be stored"),
     }
 }
 

@@ -1,6 +1,7 @@
 use super::{MODULES_MAX, Module, UNIT_MAX, dispatch};
-use crate::modbus::server::{Audience, Silence, serve_rtu};
-use crate::modbus::{BROADCAST, Request, Response};
+use crate::error::error_text;
+use crate::modbus::server::{Audience, Silence, serve_ascii, serve_rtu};
+use crate::modbus::{BROADCAST, Request, Response, ascii};
 
 /// Why a station can't be configured so.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,23 +46,57 @@ impl<M: Module, const N: usize> Station<M, N> {
     /// # Errors
     /// [`Silence`]: why there is no answer.
     pub fn serve<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
-        let start = self.start_id;
-        let index = |unit: u8| unit.checked_sub(start).map(usize::from).filter(|index| *index < N);
-        let audience = |unit| match unit {
-            BROADCAST => Audience::Broadcast,
-            _ if index(unit).is_some() => Audience::Unit,
-            _ => Audience::Other,
-        };
-        let modules = &mut self.modules;
+        let (start, modules) = (self.start_id, &mut self.modules);
         serve_rtu(
             frame,
-            audience,
-            |unit, request, data| match index(unit).and_then(|index| modules.get_mut(index)) {
-                Some(module) => dispatch(module, request, data),
-                None => broadcast(modules, request),
-            },
+            |unit| audience(start, N, unit),
+            |unit, request, data| answer(start, modules, unit, request, data),
             out,
         )
+    }
+
+    /// Answers a frame of Modbus ASCII into `out`: the whole frame in characters.
+    ///
+    /// # Errors
+    /// [`Silence`]: why there is no answer.
+    pub fn serve_ascii<'b>(
+        &mut self,
+        frame: &ascii::Frame<'_>,
+        out: &'b mut [u8],
+    ) -> Result<&'b [u8], Silence> {
+        let (start, modules) = (self.start_id, &mut self.modules);
+        serve_ascii(
+            frame,
+            |unit| audience(start, N, unit),
+            |unit, request, data| answer(start, modules, unit, request, data),
+            out,
+        )
+    }
+}
+
+/// Place of a unit's module.
+fn place(start: u8, unit: u8) -> Option<usize> {
+    unit.checked_sub(start).map(usize::from)
+}
+
+fn audience(start: u8, modules: usize, unit: u8) -> Audience {
+    match place(start, unit) {
+        _ if unit == BROADCAST => Audience::Broadcast,
+        Some(place) if place < modules => Audience::Unit,
+        _ => Audience::Other,
+    }
+}
+
+fn answer<'d, M: Module>(
+    start: u8,
+    modules: &mut [M],
+    unit: u8,
+    request: &Request<'_>,
+    data: &'d mut [u8],
+) -> Response<'d> {
+    match place(start, unit).and_then(|place| modules.get_mut(place)) {
+        Some(module) => dispatch(module, request, data),
+        None => broadcast(modules, request),
     }
 }
 
@@ -76,6 +111,13 @@ fn broadcast<M: Module>(modules: &mut [M], request: &Request<'_>) -> Response<'s
     match refusal {
         Some(exception) => Response::exception(request.function(), exception),
         None => Response::Other { function: request.function(), data: &[] },
+    }
+}
+
+error_text! {
+    StationError {
+        StationError::Modules => ("a station has one to eight modules"),
+        StationError::StartId => ("the units are not within 1 to 247"),
     }
 }
 
@@ -123,5 +165,21 @@ mod tests {
         let read = Request::ReadCoils(crate::modbus::Range::new(0x0200, 1));
         let sent = rtu::encode_request(0, &read, &mut frame).unwrap();
         assert_eq!(station.serve(sent, &mut out), Err(Silence::BroadcastRead));
+    }
+
+    #[test]
+    fn in_ascii_it_answers_the_same() {
+        let mut station = station();
+        let (mut characters, mut content, mut out) = ([0; 32], [0; 16], [0; 32]);
+        let request = Request::WriteSingleCoil { address: 0x0200, value: 0xFF00 };
+        let sent = ascii::encode_request(6, &request, &mut characters).unwrap();
+        assert_eq!(sent, b":06050200FF00F4\r\n");
+        let frame = ascii::Frame::decode(sent, &mut content).unwrap();
+        assert_eq!(station.serve_ascii(&frame, &mut out), Ok(sent));
+        assert_eq!(station.modules().each_ref().map(|module| module.outputs), [0, 1, 0]);
+        let frame = ascii::Frame { unit: 9, ..frame };
+        assert_eq!(station.serve_ascii(&frame, &mut out), Err(Silence::OtherUnit));
+        let response = ascii::Frame { unit: 6, pdu: &[0x83, 2] };
+        assert_eq!(station.serve_ascii(&response, &mut out), Err(Silence::NoRequest));
     }
 }

@@ -6,6 +6,7 @@
 use super::Request;
 use crate::can::{Frame, Id};
 use crate::codes::code_table;
+use crate::error::error_text;
 use crate::time::{Duration, Instant};
 use crate::wire;
 
@@ -347,6 +348,12 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
 impl Report<'_> {
     const fn wrong(irregularity: Irregularity) -> Self {
         Self { outcome: None, irregularity: Some(irregularity) }
+    }
+}
+
+error_text! {
+    TransferLength {
+        TransferLength => ("a transfer has 1 to 128 bytes"),
     }
 }
 

@@ -4,6 +4,7 @@ use super::{
     ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, Reply, Request, SAMPLE_LENGTH,
     Sample, SignEncoding, serial, stream,
 };
+use crate::error::error_text;
 use crate::wire::{NoSpace, Writer};
 
 /// The settings could not be stored.
@@ -336,6 +337,36 @@ fn get_u32(settings: &[u8; SETTINGS_LENGTH], register: register::Register) -> u3
 
 fn put(settings: &mut [u8; SETTINGS_LENGTH], register: register::Register, value: &[u8]) {
     settings.iter_mut().skip(usize::from(register.first)).zip(value).for_each(|(byte, new)| *byte = *new);
+}
+
+error_text! {
+    StoreError {
+        StoreError => ("the settings could not be stored"),
+    }
+}
+
+error_text! {
+    Refusal {
+        Refusal::Register => ("the registers don't exist"),
+        Refusal::Length => ("nothing, or more than a reply can hold"),
+        Refusal::ReadOnly => ("a register is read only"),
+        Refusal::Value => ("a value is not in its set"),
+        Refusal::CommandForm => ("not the register and length of this command"),
+        Refusal::Store => ("the store failed"),
+    }
+}
+
+error_text! {
+    Silence {
+        Silence::Checksum => ("the CRC does not fit"),
+        Silence::Malformed(error) => ("{error}"),
+        Silence::OtherAddress => ("for another address"),
+        Silence::Broadcast(None) => ("a broadcast, carried out"),
+        Silence::Broadcast(Some(refusal)) => ("a broadcast, refused: {refusal}"),
+        Silence::BroadcastRead => ("a read by broadcast"),
+        Silence::Refused(refusal) => ("{refusal}"),
+        Silence::NoSpace => ("the reply does not fit the buffer"),
+    }
 }
 
 #[cfg(test)]

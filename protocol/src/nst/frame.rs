@@ -1,4 +1,5 @@
 use crate::codes::code_table;
+use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 code_table! {
@@ -212,6 +213,13 @@ impl<'a> Reply<'a> {
                 writer.u8(length)
             }
         }
+    }
+}
+
+error_text! {
+    BodyError {
+        BodyError::UnknownFunction(code) => ("function code {code:#04x} is in no table"),
+        BodyError::Length => ("the length does not fit the function code or the length byte"),
     }
 }
 

@@ -5,7 +5,8 @@
 //! whole before the owner is called, once, and the response is written where it is sent from. [`RamTables`] is an
 //! owner with tables in memory.
 //!
-//! [`serve_rtu`] is what the device dispatchers of this crate use, which judge requests by their own manuals.
+//! [`serve_rtu`] and [`serve_ascii`] are what the device dispatchers of this crate use, which judge requests by their
+//! own manuals.
 
 mod framing;
 mod ram;
@@ -16,5 +17,5 @@ mod view;
 pub use framing::{ascii, rtu, rtu_with, tcp};
 pub use ram::RamTables;
 pub use respond::{Server, respond};
-pub use serial::{Audience, Silence, malformed, serve_rtu};
+pub use serial::{Audience, Silence, malformed, serve_ascii, serve_rtu};
 pub use view::{Bits, BitsMut, Registers, RegistersMut};

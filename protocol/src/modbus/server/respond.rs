@@ -18,27 +18,26 @@ use crate::wire::{NoSpace, Reader, Truncated, Writer};
 ///
 /// # Errors
 /// Each method: the exception that refuses the request; by default function code not supported.
+#[expect(unused_variables, reason = "the arguments are named for the reader")]
 pub trait Server {
     /// Whether a function code is supported: if not, the answer is exception 01 whatever else is wrong. By default the
-    /// [basic](FunctionCode::is_basic) ones; who writes a method for another one names its code here.
+    /// [basic](FunctionCode::is_basic) ones; who writes a method for another one names its code here, and who leaves one
+    /// of the basic ones out says so, lest a malformed request for it is answered with exception 03.
     fn supports(&self, function: FunctionCode) -> bool {
         function.is_basic()
     }
 
     /// Function code 01: coils (6.1).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn read_coils(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 02: discrete inputs (6.2).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn read_discrete_inputs(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 03: holding registers (6.3).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn read_holding_registers(
         &mut self,
         range: Range,
@@ -48,7 +47,6 @@ pub trait Server {
     }
 
     /// Function code 04: input registers (6.4).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn read_input_registers(
         &mut self,
         range: Range,
@@ -58,26 +56,22 @@ pub trait Server {
     }
 
     /// Function codes 05 and 0F: coils (6.5, 6.11).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function codes 06 and 10: holding registers (6.6, 6.12).
-    #[expect(unused_variables, reason = "named for the reader")]
     fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 16: the register becomes its value and `and`, or `or` without `and` (6.16).
     /// [`masked`](crate::modbus::masked) computes that.
-    #[expect(unused_variables, reason = "named for the reader")]
     fn mask_write_register(&mut self, address: u16, and: u16, or: u16) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 17: writes registers, then reads registers (6.17). Both ranges are to be judged first.
-    #[expect(unused_variables, reason = "named for the reader")]
     fn read_write_registers(
         &mut self,
         write: Range,
@@ -96,7 +90,6 @@ pub trait Server {
     /// Function code 08 (6.8): `data` holds the request's, one register but for [`Diagnostic::ReturnQueryData`], and
     /// is sent back. So the loopback needs nothing but `Ok`; a counter is put into the first register.
     /// [`Diagnostic::ForceListenOnly`] never comes here, since it is never answered: exception 01.
-    #[expect(unused_variables, reason = "named for the reader")]
     fn diagnostics(&mut self, what: Diagnostic, data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
@@ -120,7 +113,6 @@ pub trait Server {
 
     /// An object of the device identification, at most [`OBJECT_MAX`] bytes; a longer one is cut. 00 to 02 are
     /// mandatory.
-    #[expect(unused_variables, reason = "named for the reader")]
     fn identification(&self, object: ObjectId) -> Option<&[u8]> {
         None
     }
@@ -308,22 +300,30 @@ fn echo(writer: &mut Writer<'_>, first: u16, second: u16) -> Result<(), NoSpace>
     writer.u16_be(second)
 }
 
-fn room_for_bits<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<BitsMut<'w>, Failure> {
-    judge(range, READ_BITS_MAX, true)?;
-    Ok(BitsMut::new(room(bytes_of_bits(range.quantity), writer)?, range.quantity))
-}
-
-fn room_for_registers<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<RegistersMut<'w>, Failure> {
-    judge(range, READ_REGISTERS_MAX, true)?;
-    Ok(RegistersMut::new(room(bytes_of_registers(range.quantity), writer)?))
-}
-
-/// A byte count and so many bytes, all 0.
-fn room<'w>(bytes: usize, writer: &'w mut Writer<'_>) -> Result<&'w mut [u8], Failure> {
+/// Judges a read, then makes room for its byte count and so many bytes, all 0.
+fn room<'w>(
+    range: Range,
+    max: u16,
+    bytes: usize,
+    writer: &'w mut Writer<'_>,
+) -> Result<&'w mut [u8], Failure> {
+    judge(range, max, true)?;
     writer.u8(u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?)?;
     let data = writer.reserve(bytes)?;
     data.fill(0);
     Ok(data)
+}
+
+#[inline]
+fn room_for_bits<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<BitsMut<'w>, Failure> {
+    let data = room(range, READ_BITS_MAX, bytes_of_bits(range.quantity), writer)?;
+    Ok(BitsMut::new(data, range.quantity))
+}
+
+#[inline]
+fn room_for_registers<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<RegistersMut<'w>, Failure> {
+    let data = room(range, READ_REGISTERS_MAX, bytes_of_registers(range.quantity), writer)?;
+    Ok(RegistersMut::new(data))
 }
 
 fn diagnose(

@@ -1,5 +1,7 @@
+use crate::error::error_text;
 use crate::modbus::rtu::{self, Frame, FrameError};
-use crate::modbus::{ExceptionCode, FunctionCode, PDU_MAX, Request, RequestError, Response};
+use crate::modbus::{ExceptionCode, FunctionCode, PDU_MAX, Request, RequestError, Response, ascii};
+use crate::wire::NoSpace;
 
 /// To whom a unit address speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,16 +45,45 @@ pub fn serve_rtu<'b>(
     out: &'b mut [u8],
 ) -> Result<&'b [u8], Silence> {
     let Frame { unit, pdu } = Frame::decode(frame).map_err(Silence::Frame)?;
+    let mut data = [0; PDU_MAX];
+    let response = judge(unit, pdu, audience, dispatch, &mut data)?;
+    rtu::encode_response(unit, &response, out).map_err(|NoSpace| Silence::NoSpace)
+}
+
+/// [`serve_rtu`] for a frame of Modbus ASCII; the answer is the whole frame in characters.
+///
+/// # Errors
+/// [`Silence`]: why there is no answer.
+pub fn serve_ascii<'b>(
+    frame: &ascii::Frame<'_>,
+    audience: impl FnOnce(u8) -> Audience,
+    dispatch: impl for<'d> FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], Silence> {
+    let mut data = [0; PDU_MAX];
+    let response = judge(frame.unit, frame.pdu, audience, dispatch, &mut data)?;
+    ascii::encode_response(frame.unit, &response, out).map_err(|NoSpace| Silence::NoSpace)
+}
+
+fn judge<'d>(
+    unit: u8,
+    pdu: &[u8],
+    audience: impl FnOnce(u8) -> Audience,
+    dispatch: impl FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
+    data: &'d mut [u8],
+) -> Result<Response<'d>, Silence> {
     let audience = audience(unit);
     if audience == Audience::Other {
         return Err(Silence::OtherUnit);
     }
-    let mut data = [0; PDU_MAX];
     let response = match Request::decode(pdu) {
+        Ok(Request::Other { function: FunctionCode::Unknown(0x00 | 0x80..), .. }) => {
+            return Err(Silence::NoRequest);
+        }
         Ok(request) if audience == Audience::Broadcast && request.is_read() => {
             return Err(Silence::BroadcastRead);
         }
-        Ok(request) => dispatch(unit, &request, &mut data),
+        Ok(request) => dispatch(unit, &request, data),
         Err(error) => malformed(error),
     };
     match (audience, response) {
@@ -60,7 +91,7 @@ pub fn serve_rtu<'b>(
             Err(Silence::Broadcast(Some(exception)))
         }
         (Audience::Broadcast, _) => Err(Silence::Broadcast(None)),
-        _ => rtu::encode_response(unit, &response, out).map_err(|_| Silence::NoSpace),
+        _ => Ok(response),
     }
 }
 
@@ -82,5 +113,17 @@ pub const fn malformed(error: RequestError) -> Response<'static> {
             | F::WriteMultipleRegisters),
         ) => Response::exception(function, ExceptionCode::IllegalDataValue),
         RequestError::Length(function) => Response::exception(function, ExceptionCode::IllegalFunction),
+    }
+}
+
+error_text! {
+    Silence {
+        Silence::Frame(error) => ("{error}"),
+        Silence::OtherUnit => ("for another unit"),
+        Silence::Broadcast(None) => ("a broadcast, carried out"),
+        Silence::Broadcast(Some(exception)) => ("a broadcast, refused: {exception}"),
+        Silence::BroadcastRead => ("a broadcast that does not write"),
+        Silence::NoRequest => ("a function code that asks nothing"),
+        Silence::NoSpace => ("the response does not fit the buffer"),
     }
 }

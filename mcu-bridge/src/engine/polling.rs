@@ -1,0 +1,252 @@
+//! Slots in which the bridge reads sensors by itself, on time.
+
+use super::config::{Bus, Network, Route};
+use super::host::FRAME_MAX;
+use super::transaction::{Expected, Origin, Request};
+use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
+use jointbus_protocol::time::{Duration, Instant};
+use jointbus_protocol::wire::Writer;
+
+/// Number of slots.
+pub const SLOTS: usize = 8;
+
+/// A sample is stale after three periods without a new one, but not before this.
+const STALE_AT_LEAST: Duration = Duration::from_millis(20);
+
+/// The read that a slot sends: the six axes.
+const READ: nst::Request<'static> = nst::Request::read(register::DATA.first, SAMPLE_LENGTH as u8);
+
+/// What a slot has to say of its sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SlotState {
+    /// Its period is 0.
+    Off,
+    /// No sample has come yet.
+    Empty,
+    /// The sample is new enough.
+    Fresh,
+    /// No sample for three periods, at least 20 ms.
+    Stale,
+}
+
+impl SlotState {
+    /// Its number in the register.
+    #[must_use]
+    pub const fn value(self) -> u16 {
+        match self {
+            Self::Off => 0,
+            Self::Empty => 1,
+            Self::Fresh => 2,
+            Self::Stale => 3,
+        }
+    }
+}
+
+/// Where a slot is in its period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Progress {
+    /// Waits for the next period.
+    #[default]
+    Idle,
+    /// Waits for its bus.
+    Due,
+    /// On its bus.
+    InFlight,
+}
+
+/// A polling slot.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Slot {
+    /// Unit that it reads, as the host sees it.
+    pub unit: u8,
+    /// Period in 100 us; 0 = off.
+    pub period_100us: u16,
+    /// Samples so far; wraps around.
+    pub sequence: u32,
+    /// When the last byte or frame of the newest sample came.
+    pub stamp: Instant,
+    /// The newest sample.
+    pub sample: Sample,
+    /// Periods in which the slot could not read because its bus, or its last read, was not done.
+    pub missed: u32,
+    /// Reads without an answer.
+    pub failures: u32,
+    has_sample: bool,
+    progress: Progress,
+    next: Instant,
+}
+
+impl Slot {
+    /// A slot that starts at once.
+    pub(super) fn new(unit: u8, period_100us: u16, now: Instant) -> Self {
+        Self { unit, period_100us, next: now, ..Self::default() }
+    }
+
+    const fn period(&self) -> Duration {
+        Duration::from_micros((self.period_100us as u64).wrapping_mul(100))
+    }
+
+    /// What it has to say.
+    #[must_use]
+    pub fn state(&self, now: Instant) -> SlotState {
+        match (self.period_100us, self.has_sample) {
+            (0, _) => SlotState::Off,
+            (_, false) => SlotState::Empty,
+            _ if now.since(self.stamp) >= self.period().times(3).max(STALE_AT_LEAST) => SlotState::Stale,
+            _ => SlotState::Fresh,
+        }
+    }
+
+    /// Notices the periods that have begun: without drift, and what was missed is not caught up.
+    fn tick(&mut self, now: Instant) {
+        let period = self.period();
+        if period == Duration::ZERO || now < self.next {
+            return;
+        }
+        let late = now.since(self.next).as_micros().checked_div(period.as_micros()).unwrap_or(0);
+        self.next = self.next.after(period.times(late.saturating_add(1)));
+        let busy = u64::from(self.progress != Progress::Idle);
+        let missed = u32::try_from(late.saturating_add(busy)).unwrap_or(u32::MAX);
+        self.missed = self.missed.wrapping_add(missed);
+        if self.progress == Progress::Idle {
+            self.progress = Progress::Due;
+        }
+    }
+}
+
+/// All slots.
+#[derive(Debug, Default)]
+pub(super) struct Polling([Slot; SLOTS]);
+
+impl Polling {
+    pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
+        self.0.get(index)
+    }
+
+    /// Sets a slot anew; a read of the former one that is under way is then nobody's.
+    pub(super) fn set(&mut self, index: usize, slot: Slot) {
+        if let Some(place) = self.0.get_mut(index) {
+            *place = slot;
+        }
+    }
+
+    pub(super) fn tick(&mut self, now: Instant) {
+        self.0.iter_mut().for_each(|slot| slot.tick(now));
+    }
+
+    /// When the next period begins.
+    pub(super) fn deadline(&self) -> Option<Instant> {
+        self.0.iter().filter(|slot| slot.period_100us > 0).map(|slot| slot.next).min()
+    }
+
+    /// The read of the slot that is due on a bus and began its period first, if nothing holds it back.
+    pub(super) fn next(
+        &mut self,
+        bus: Bus,
+        network: &Network,
+        now: Instant,
+        held: impl Fn(&Request) -> bool,
+    ) -> Option<Request> {
+        let mut due: Option<(usize, Instant, Request)> = None;
+        for (index, slot) in self.0.iter().enumerate().filter(|(_, slot)| slot.progress == Progress::Due) {
+            let began = slot.next;
+            if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
+                continue;
+            }
+            let route = network.route(slot.unit).filter(|(_, route)| route.bus == bus);
+            let request = route.and_then(|(number, route)| read(slot.unit, index, number, route, now));
+            if let Some(request) = request.filter(|request| !held(request)) {
+                due = Some((index, began, request));
+            }
+        }
+        let (index, _, request) = due?;
+        self.0.get_mut(index)?.progress = Progress::InFlight;
+        Some(request)
+    }
+
+    /// A sample came; its last byte or frame at `now`.
+    pub(super) fn answered(&mut self, index: usize, body: &[u8], now: Instant) {
+        let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress == Progress::InFlight) else {
+            return;
+        };
+        slot.progress = Progress::Idle;
+        if let Some(data) = body.get(nst::REPLY_HEADER..).and_then(|data| data.first_chunk()) {
+            slot.sample = Sample::decode(data, SignEncoding::TwosComplement);
+            slot.stamp = now;
+            slot.sequence = slot.sequence.wrapping_add(1);
+            slot.has_sample = true;
+        }
+    }
+
+    /// A read had no answer, or was not sent.
+    pub(super) fn failed(&mut self, index: usize) {
+        if let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress == Progress::InFlight) {
+            slot.progress = Progress::Idle;
+            slot.failures = slot.failures.wrapping_add(1);
+        }
+    }
+}
+
+/// The read of a slot, as it goes onto the bus; `None` for a unit that does not speak NST.
+fn read(unit: u8, index: usize, number: u8, route: &Route, now: Instant) -> Option<Request> {
+    if !route.protocol.is_nst() {
+        return None;
+    }
+    let remote = route.remote_of(unit);
+    let expected = Expected::Nst(serial::ExpectedReply::new(remote, &READ));
+    let mut buffer = [0; FRAME_MAX];
+    let content = if route.bus == Bus::Can {
+        let mut writer = Writer::new(&mut buffer);
+        READ.encode(&mut writer).ok()?;
+        writer.finish()
+    } else {
+        serial::encode_request(remote, &READ, &mut buffer).ok()?
+    };
+    let function = nst::FunctionCode::Read.code();
+    let request = Request::new(unit, function, Some(expected), (Some(number), route), content, now)?;
+    // a repeated read would be late for this period and early for the next
+    Some(Request { origin: Origin::Slot(index), retries: 0, ..request })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(micros: u64) -> Instant {
+        Instant::from_micros(micros)
+    }
+
+    #[test]
+    fn periods_do_not_drift_and_missed_ones_are_counted() {
+        let mut slot = Slot::new(1, 10, at(0));
+        slot.tick(at(3));
+        assert_eq!((slot.progress, slot.next, slot.missed), (Progress::Due, at(1000), 0));
+        slot.tick(at(999));
+        slot.progress = Progress::Idle;
+        slot.tick(at(1010));
+        assert_eq!((slot.progress, slot.next, slot.missed), (Progress::Due, at(2000), 0));
+        slot.tick(at(2000));
+        assert_eq!((slot.next, slot.missed), (at(3000), 1), "the last read is not done");
+        slot.progress = Progress::Idle;
+        slot.tick(at(6500));
+        assert_eq!(
+            (slot.progress, slot.next, slot.missed),
+            (Progress::Due, at(7000), 4),
+            "3 ms without a look"
+        );
+    }
+
+    #[test]
+    fn states() {
+        let mut slot = Slot::default();
+        assert_eq!(slot.state(at(0)), SlotState::Off);
+        slot = Slot::new(1, 10, at(0));
+        assert_eq!(slot.state(at(1_000_000)), SlotState::Empty);
+        (slot.has_sample, slot.stamp) = (true, at(1000));
+        assert_eq!(slot.state(at(20_999)), SlotState::Fresh, "at least 20 ms");
+        assert_eq!(slot.state(at(21_000)), SlotState::Stale);
+        slot.period_100us = 100;
+        assert_eq!(slot.state(at(30_999)), SlotState::Fresh);
+        assert_eq!(slot.state(at(31_000)), SlotState::Stale);
+    }
+}
