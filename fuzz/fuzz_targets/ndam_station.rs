@@ -3,8 +3,8 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, check_response, sealed};
-use jointbus_protocol::modbus::BROADCAST;
 use jointbus_protocol::modbus::server::Silence;
+use jointbus_protocol::modbus::{BROADCAST, ascii};
 use jointbus_protocol::ndam9010::{ChannelError, Layout, RamModule, Station};
 use libfuzzer_sys::fuzz_target;
 
@@ -30,21 +30,22 @@ fuzz_target!(|data: &[u8]| {
         }
         let before = outputs(&mut station);
         let mut out = [0; 300];
-        if way & 0x0F == 2 {
-            let _ = station.serve(content, &mut out);
-        }
-        let frame = sealed(content);
-        match station.serve(&frame, &mut out) {
+        let outcome = match (way & 0x0F, content) {
+            (2, _) => station.serve(content, &mut out).map(<[u8]>::to_vec),
+            (3, [unit, pdu @ ..]) => serve_ascii(&mut station, *unit, pdu),
+            _ => station.serve(&sealed(content), &mut out).map(<[u8]>::to_vec),
+        };
+        match outcome {
             Ok(reply) => {
+                let content = if way & 0x0F == 2 { &content[..content.len() - 2] } else { content };
                 assert!((START..START + 3).contains(&content[0]));
-                let refused = content[1] >= 0x80 || check_response(content[0], &content[1..], reply);
+                let refused = check_response(content[0], &content[1..], &reply);
                 if refused || content[1] <= 4 {
                     assert_eq!(before, outputs(&mut station));
                 }
             }
             Err(Silence::Broadcast(_)) => assert_eq!(content[0], BROADCAST),
-            Err(_) if way & 0x0F != 2 => assert_eq!(before, outputs(&mut station)),
-            Err(_) => {}
+            Err(_) => assert_eq!(before, outputs(&mut station)),
         }
         for module in station.modules() {
             let present = (1u32 << module.layout.digital_outputs.min(16)) - 1;
@@ -61,4 +62,12 @@ fuzz_target!(|data: &[u8]| {
 
 fn outputs(station: &mut Station<RamModule, 3>) -> [(u16, [u16; 16]); 3] {
     station.modules().each_ref().map(|module| (module.outputs, module.analog_outputs))
+}
+
+/// The answer to a frame of Modbus ASCII, in the form of RTU.
+fn serve_ascii(station: &mut Station<RamModule, 3>, unit: u8, pdu: &[u8]) -> Result<Vec<u8>, Silence> {
+    let (mut out, mut bytes) = ([0; ascii::FRAME_MAX], [0; 300]);
+    let answer = station.serve_ascii(&ascii::Frame { unit, pdu }, &mut out)?;
+    let answer = ascii::Frame::decode(answer, &mut bytes).unwrap();
+    Ok(sealed(&[&[answer.unit][..], answer.pdu].concat()))
 }
