@@ -101,6 +101,21 @@ fn an_unknown_function_code_is_delimited_by_silence_and_forwarded() {
 }
 
 #[test]
+fn noise_in_place_of_an_open_reply_wakes_the_bridge_once() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Rs485B];
+    assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], SOON), []);
+    assert_eq!(world.sent.len(), 1);
+    world.engine.receive(Port::Rs485B, &[0xDE; 13], world.now);
+    let pause = world.engine.deadline().expect("silence ends it");
+    world.engine.poll(pause);
+    let next = world.engine.deadline().expect("the timeout");
+    assert!(next > pause, "due at {pause:?}, and at {next:?} again");
+    assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 1);
+    assert_eq!(world.exchange(&[], LATER), modbus(32, &[0xC1, 0x0B]));
+}
+
+#[test]
 fn the_boards_own_units_answer() {
     let mut world = World::new();
     assert_eq!(world.modbus(31, &[16, 0, 4, 0, 4, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0], SOON), [16, 0, 4, 0, 4]);

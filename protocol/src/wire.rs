@@ -160,6 +160,15 @@ impl<'a> Writer<'a> {
     }
 }
 
+/// Copies as many bytes as there are in both: unlike `copy_from_slice` it cannot panic, so the optimiser need not
+/// prove that the lengths are equal.
+pub(crate) fn copy(from: &[u8], to: &mut [u8]) {
+    let length = from.len().min(to.len());
+    if let (Some(from), Some(to)) = (from.get(..length), to.get_mut(..length)) {
+        to.copy_from_slice(from);
+    }
+}
+
 error_text! {
     Truncated {
         Truncated => ("the input ends before the value does"),

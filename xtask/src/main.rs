@@ -6,6 +6,7 @@
 mod demo;
 mod emulate;
 mod firmware;
+mod fuzz;
 mod run;
 mod setup;
 mod test;
@@ -40,6 +41,8 @@ enum Task {
         #[arg(long)]
         seconds: Option<u64>,
     },
+    /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
+    Fuzz(fuzz::Budget),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -66,6 +69,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         }
         Task::Emulate(ports) => emulate::emulate(&workspace, &ports),
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
+        Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }

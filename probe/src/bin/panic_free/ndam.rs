@@ -1,0 +1,100 @@
+//! `ndam9010`: registers, the dispatcher of a module, and the station.
+
+use jointbus_protocol::ndam9010::register::Area;
+use jointbus_protocol::ndam9010::{ChannelError, Layout, Module, RamModule, Station, dispatch};
+
+use crate::modbus::request;
+use crate::opaque::{any, buffer, byte, bytes, flag, sink, size, word};
+
+pub(crate) fn all() {
+    areas();
+    module(&mut RamModule::new(layout()));
+    module(&mut Anything);
+    station::<1>();
+    station::<8>();
+}
+
+fn layout() -> Layout {
+    Layout {
+        digital_inputs: byte(),
+        digital_outputs: byte(),
+        analog_inputs: byte(),
+        analog_outputs: byte(),
+    }
+}
+
+#[inline(never)]
+fn areas() {
+    sink(Area::of_register(word()));
+    sink(Area::of_bit(word()));
+}
+
+/// A module with any channels, which change, and with any faults.
+struct Anything;
+
+impl Anything {
+    fn or_fault<T>(result: T) -> Result<T, ChannelError> {
+        match any(0) {
+            0 => Err(ChannelError::Failed),
+            1 => Err(ChannelError::Busy),
+            _ => Ok(result),
+        }
+    }
+}
+
+impl Module for Anything {
+    fn layout(&self) -> Layout {
+        layout()
+    }
+
+    fn digital_inputs(&mut self) -> Result<u16, ChannelError> {
+        Self::or_fault(word())
+    }
+
+    fn digital_outputs(&mut self) -> Result<u16, ChannelError> {
+        Self::or_fault(word())
+    }
+
+    fn set_digital_outputs(&mut self, mask: u16, value: u16) -> Result<(), ChannelError> {
+        sink((mask, value));
+        Self::or_fault(())
+    }
+
+    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
+        values.fill_with(word);
+        Self::or_fault(())
+    }
+
+    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
+        values.fill_with(word);
+        Self::or_fault(())
+    }
+
+    fn set_analog_outputs(&mut self, first: u8, values: &[u16]) -> Result<(), ChannelError> {
+        sink((first, values));
+        Self::or_fault(())
+    }
+}
+
+#[inline(never)]
+fn module(module: &mut impl Module) {
+    buffer::<300>(|out| sink(dispatch(module, &request(), out)));
+    sink(module.set_analog_outputs(byte(), &[any(0)]));
+    let mut values = any([0; 40]);
+    if let Some(values) = values.get_mut(..size()) {
+        sink(module.analog_inputs(values));
+        sink(module.analog_outputs(values));
+        sink(module.set_analog_outputs(byte(), values));
+    }
+    sink((module.digital_inputs(), module.digital_outputs(), module.set_digital_outputs(word(), word())));
+}
+
+#[inline(never)]
+fn station<const N: usize>() {
+    let modules = core::array::from_fn::<_, N, _>(|_| RamModule::new(layout()));
+    let Ok(mut station) = Station::new(modules, byte()) else { return };
+    while flag() {
+        buffer::<300>(|out| sink(station.serve(bytes(), out)));
+        sink(station.modules());
+    }
+}
