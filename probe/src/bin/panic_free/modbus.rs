@@ -3,9 +3,7 @@
 use jointbus_protocol::deframe::{Expectation, Format};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::modbus::server::{Audience, malformed, serve_rtu};
-use jointbus_protocol::modbus::{
-    self, ExceptionCode, FunctionCode, Range, Request, RequestError, Response,
-};
+use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, Range, Request, RequestError, Response};
 use jointbus_protocol::wire::Writer;
 
 use crate::opaque::{any, buffer, byte, bytes, flag, sink, size, word};

@@ -15,12 +15,7 @@ pub(crate) fn all() {
 }
 
 fn layout() -> Layout {
-    Layout {
-        digital_inputs: byte(),
-        digital_outputs: byte(),
-        analog_inputs: byte(),
-        analog_outputs: byte(),
-    }
+    Layout { digital_inputs: byte(), digital_outputs: byte(), analog_inputs: byte(), analog_outputs: byte() }
 }
 
 #[inline(never)]
