@@ -9,6 +9,7 @@ mod own;
 mod polling;
 mod quarantine;
 mod serial;
+mod settings;
 mod transaction;
 
 use can::CanBus;
@@ -23,7 +24,7 @@ use jointbus_protocol::ndam9010::{self, ChannelError, Layout, RamModule};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, nst, nxi6201};
-use own::Diagnostics;
+use own::{Diagnostics, Saving};
 use polling::Polling;
 use quarantine::{Admission, Quarantine};
 use serial::SerialBus;
@@ -32,6 +33,7 @@ use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surrounding
 pub use counters::Counters;
 pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
 pub use polling::{SLOTS, Slot, SlotState};
+pub use settings::{STORED_LENGTH, Settings, SlotSettings};
 
 /// Channels of the board as an NDAM module.
 pub const LOCAL_IO: Layout =
@@ -48,6 +50,7 @@ pub struct Engine {
     confirm_until: Option<Instant>,
     limits: Limits,
     command: Option<Command>,
+    saving: Option<Saving>,
     /// Ports whose settings changed and whose owner has not been told.
     changed_ports: [bool; 4],
     host: HostDeframer,
@@ -81,6 +84,7 @@ impl Engine {
             confirm_until: None,
             limits,
             command: None,
+            saving: None,
             changed_ports: [false; 4],
             host: HostDeframer::new(limits.burst_silence()),
             output: Output::new(),

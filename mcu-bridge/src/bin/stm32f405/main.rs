@@ -192,6 +192,10 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
+            // this board has no store yet: the host is told
+            if local.engine.take_save().is_some() {
+                local.engine.saved(false);
+            }
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
