@@ -10,6 +10,7 @@
 mod bxcan;
 mod clocks;
 mod constants;
+mod flash;
 mod outputs;
 mod reset;
 mod time;
@@ -21,7 +22,8 @@ use defmt_rtt as _;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
-    use crate::constants::CAN_INCOMING;
+    use crate::constants::{CAN_INCOMING, STORE_SIZE};
+    use crate::flash::Sectors;
     use crate::outputs::Outputs;
     use crate::time::{self, Clock};
     use crate::uart::Uart;
@@ -30,9 +32,10 @@ mod app {
     use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+    use jointbus_mcu_bridge::engine::config::Port;
     use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
     use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
     use stm32f4xx_hal::prelude::*;
@@ -70,6 +73,7 @@ mod app {
         ports: [(Port, MainSide<'static>, Interrupt); 3],
         /// `None` where the controller does not answer.
         can: Option<u32>,
+        store: Option<Store<Sectors>>,
         frames_in: Producer<'static, (Frame, u32)>,
         frames: Consumer<'static, (Frame, u32)>,
     }
@@ -82,12 +86,17 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let device = cx.device;
         let mut core = cx.core;
-        let watchdog = Watchdog::start(device.IWDG);
+        let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
         let (mut rcc, crystal) = clocks::start(device.RCC);
         time::start(&mut core.SYST, rcc.clocks.sysclk().raw());
         let mut clock = Clock::default();
-        let network = Network::default();
+        watchdog.stretch();
+        let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
+        let loaded = store.as_mut().map_or(Err(Unreadable), Store::load);
+        watchdog.relax();
+        let settings = loaded.ok().flatten().unwrap_or_default();
+        let network = settings.network;
 
         let gpioa = device.GPIOA.split(&mut rcc);
         let gpiob = device.GPIOB.split(&mut rcc);
@@ -133,11 +142,12 @@ mod app {
         ]
         .map(|part| part.parse().unwrap_or(0));
         let identity = Identity { version, reset_cause };
-        let engine = cx.local.place.write(Engine::new(network, Limits::default(), identity, clock.now()));
+        let engine = cx.local.place.write(Engine::new(network, settings.limits, identity, clock.now()));
+        engine.restore(&settings, clock.now());
         engine.set_health(Health {
             internal_oscillator: !crystal,
             no_can: can.is_none(),
-            ..Health::default()
+            defaulted: loaded.is_err(),
         });
         defmt::info!("jointbus: crystal {}, can {}", crystal, can.is_some());
 
@@ -148,12 +158,12 @@ mod app {
         ];
         (
             Shared { uart1, uart2, uart3 },
-            Local { engine, clock, watchdog, outputs, ports, can, frames_in, frames },
+            Local { engine, clock, watchdog, outputs, ports, can, store, frames_in, frames },
         )
     }
 
     #[idle(
-        local = [engine, clock, watchdog, outputs, ports, can, frames, rebooting: bool = false],
+        local = [engine, clock, watchdog, outputs, ports, can, store, frames, rebooting: bool = false],
         shared = [uart1, uart2, uart3]
     )]
     fn idle(mut cx: idle::Context) -> ! {
@@ -192,9 +202,11 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
-            // this board has no store yet: the host is told
-            if local.engine.take_save().is_some() {
-                local.engine.saved(false);
+            if let Some(settings) = local.engine.take_save() {
+                local.watchdog.stretch();
+                let stored = local.store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
+                local.watchdog.relax();
+                local.engine.saved(stored);
             }
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
