@@ -14,27 +14,27 @@ use jointbus_protocol::wire::{NoSpace, Truncated};
 use crate::opaque::{any, buffer, byte, bytes, flag, long, sink};
 
 pub(crate) fn all() {
-    write(Truncated);
-    write(NoSpace);
+    write(Some(Truncated));
+    write(Some(NoSpace));
     write(can::Frame::data_frame(Id::Extended(long()), bytes()).err());
     write(slcan::Command::decode(bytes()).err());
-    write(ExceptionCode::from_code(byte()));
+    write(Some(ExceptionCode::from_code(byte())));
     write(Request::decode(bytes()).err());
     write(Response::decode(bytes()).err());
     write(rtu::Frame::decode(bytes()).err());
     buffer::<40>(|space| write(ascii::Frame::decode(bytes(), space).err()));
     write(tcp::Header::from_bytes(any([0; tcp::HEADER_LENGTH])).err());
     buffer::<300>(|out| write(server::rtu(&mut RamTables::<1, 1, 1, 1>::new(), byte(), bytes(), out).err()));
-    write(if flag() { ChannelError::Failed } else { ChannelError::Busy });
+    write(Some(if flag() { ChannelError::Failed } else { ChannelError::Busy }));
     write(Station::<RamModule, 0>::new([], byte()).err());
-    write(if flag() { StationError::Modules } else { StationError::StartId });
+    write(Some(if flag() { StationError::Modules } else { StationError::StartId }));
     write(Text::new(bytes()).err());
     write(settings::Settings::decode(&any([0; settings::STORED_LENGTH])).err());
-    write(settings::StoreError);
-    write(nst::StoreError);
+    write(Some(settings::StoreError));
+    write(Some(nst::StoreError));
     write(nst::Request::decode(bytes()).err());
     write(nst::can::segment(byte(), byte(), bytes()).err());
-    write(refusal());
+    write(Some(refusal()));
     let mut daq = nst::Daq::new(nst::RamHardware::new(byte()), nst::SignEncoding::TwosComplement);
     buffer::<300>(|out| write(daq.serve_serial(bytes(), out).err()));
 }
@@ -60,8 +60,8 @@ impl Write for Anywhere {
 }
 
 #[inline(never)]
-fn write<E: Display>(error: impl Into<Option<E>>) {
-    if let Some(error) = error.into() {
+fn write(error: Option<impl Display>) {
+    if let Some(error) = error {
         sink(write!(Anywhere, "{error}"));
     }
 }
