@@ -7,6 +7,8 @@ mod demo;
 mod emulate;
 mod firmware;
 mod fuzz;
+mod miri;
+mod probe;
 mod run;
 mod setup;
 mod test;

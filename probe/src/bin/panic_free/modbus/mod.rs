@@ -92,7 +92,7 @@ fn values() {
     sink(modbus::bit(bytes(), word()));
     sink(modbus::bytes_of_bits(word()));
     sink(modbus::masked(word(), word(), word()));
-    sink((function().code(), function().is_read()));
+    sink((function().code(), function().is_read(), function().is_basic()));
     sink(exception().code());
     sink(Diagnostic::from_code(word()).code());
 }
