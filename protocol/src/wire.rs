@@ -143,7 +143,7 @@ impl<'a> Writer<'a> {
     pub(crate) fn patch(&mut self, at: usize, bytes: &[u8]) {
         let end = at.saturating_add(bytes.len());
         if let Some(place) = self.buffer.get_mut(..self.used).and_then(|written| written.get_mut(at..end)) {
-            place.copy_from_slice(bytes);
+            copy(bytes, place);
         }
     }
 

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{emulate, firmware, run, setup};
+use crate::{emulate, firmware, fuzz, miri, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -60,7 +60,10 @@ static STEPS: &[Step] = &[
             setup::toolchain(workspace)?;
             Ok(())
         },
-        run: firmware::clippy,
+        run: |workspace| {
+            firmware::clippy(workspace)?;
+            probe::clippy(workspace)
+        },
     },
     Step {
         name: "firmware",
@@ -70,6 +73,12 @@ static STEPS: &[Step] = &[
             firmware::build(workspace)?.report();
             Ok(())
         },
+    },
+    Step {
+        name: "panic-free",
+        about: "nothing in the protocol crate can panic on the part, optimised for size or for speed",
+        prepare: |workspace| setup::toolchain(workspace).map(drop),
+        run: probe::panic_free,
     },
     Step {
         name: "emulator",
@@ -102,6 +111,18 @@ static STEPS: &[Step] = &[
         about: "the tests pass, also those on the emulated part and with real clients",
         prepare: setup::all,
         run: tests,
+    },
+    Step {
+        name: "miri",
+        about: "the protocol crate's unit tests have no undefined behaviour",
+        prepare: setup::nightly::miri,
+        run: miri::miri,
+    },
+    Step {
+        name: "fuzz",
+        about: "a minute of hostile input finds nothing",
+        prepare: setup::nightly::fuzzer,
+        run: fuzz::briefly,
     },
 ];
 

@@ -54,6 +54,8 @@ fn writer() {
 #[inline(never)]
 fn checksums() {
     sink(checksum::crc16(bytes()));
+    sink(checksum::crc16_small(bytes()));
+    sink(checksum::crc16_bitwise(bytes()));
     sink(checksum::lrc(bytes()));
     sink(checksum::verify(bytes()));
 }

@@ -33,6 +33,10 @@ impl Format for Anything {
     fn is_broadcast(&self, _: &[u8]) -> bool {
         flag()
     }
+
+    fn forgives_stray_bytes(&self) -> bool {
+        flag()
+    }
 }
 
 impl<const L: usize> Expectation<L> for Anything {

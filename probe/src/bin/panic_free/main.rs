@@ -8,6 +8,7 @@
 mod can;
 mod common;
 mod deframe;
+mod errors;
 mod modbus;
 mod ndam;
 mod nst;
@@ -23,6 +24,7 @@ pub extern "C" fn _start() -> ! {
         common::all();
         can::all();
         deframe::all();
+        errors::all();
         modbus::all();
         nst::all();
         nxi::all();

@@ -1,6 +1,10 @@
 //! `ndam9010`: registers, the dispatcher of a module, and the station.
 
+use jointbus_protocol::modbus::ascii;
 use jointbus_protocol::ndam9010::register::Area;
+use jointbus_protocol::ndam9010::settings::{
+    Mode, Parity, RamStorage, STORED_LENGTH, Settings, Storage, StoreError, Text, power_up,
+};
 use jointbus_protocol::ndam9010::{ChannelError, Layout, Module, RamModule, Station, dispatch};
 
 use crate::modbus::request;
@@ -10,6 +14,9 @@ pub(crate) fn all() {
     areas();
     module(&mut RamModule::new(layout()));
     module(&mut Anything);
+    stored();
+    start(&mut RamStorage(Some(any([0; STORED_LENGTH]))));
+    start(&mut AnyStorage);
     station::<1>();
     station::<8>();
 }
@@ -22,6 +29,48 @@ fn layout() -> Layout {
 fn areas() {
     sink(Area::of_register(word()));
     sink(Area::of_bit(word()));
+}
+
+#[inline(never)]
+fn stored() {
+    let Ok(name) = Text::new(bytes()) else { return };
+    sink(name.as_bytes());
+    let settings = Settings {
+        mode: if flag() { Mode::Rtu } else { Mode::Ascii },
+        byte_timeout_ms: word(),
+        baud: any(0),
+        data_bits: byte(),
+        stop_bits: byte(),
+        parity: if flag() { Parity::None } else { Parity::Space },
+        modules: byte(),
+        name,
+        password: any(name),
+    };
+    sink(settings.check());
+    sink(settings.encode());
+    sink(Settings::default());
+    sink(Settings::decode(&any([0; STORED_LENGTH])));
+}
+
+/// Storage that holds anything, and that may fail.
+struct AnyStorage;
+
+impl Storage for AnyStorage {
+    fn load(&mut self) -> Option<[u8; STORED_LENGTH]> {
+        flag().then(|| any([0; STORED_LENGTH]))
+    }
+
+    fn store(&mut self, settings: &[u8; STORED_LENGTH]) -> Result<(), StoreError> {
+        sink(*settings);
+        if flag() { Ok(()) } else { Err(StoreError) }
+    }
+}
+
+#[inline(never)]
+fn start(storage: &mut impl Storage) {
+    sink(power_up(byte(), storage));
+    sink(storage.store(&any([0; STORED_LENGTH])));
+    sink(storage.load());
 }
 
 /// A module with any channels, which change, and with any faults.
@@ -90,6 +139,8 @@ fn station<const N: usize>() {
     let Ok(mut station) = Station::new(modules, byte()) else { return };
     while flag() {
         buffer::<300>(|out| sink(station.serve(bytes(), out)));
+        let frame = ascii::Frame { unit: byte(), pdu: bytes() };
+        buffer::<600>(|out| sink(station.serve_ascii(&frame, out)));
         sink(station.modules());
     }
 }

@@ -1,7 +1,7 @@
 //! `nst`: bodies, registers, the forms on serial lines, streams and CAN, and the dispatcher.
 
 use jointbus_protocol::deframe::{Expectation, Format};
-use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, segment};
+use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, part, segment};
 use jointbus_protocol::nst::register::{self, SETTINGS_LENGTH};
 use jointbus_protocol::nst::{
     AXES, Daq, FunctionCode, Hardware, RamHardware, Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding,
@@ -56,6 +56,7 @@ fn requests() {
     sink((request.function().code(), request.function().is_read(), request.register(), request.length()));
     buffer::<300>(|space| sink(request.encode(&mut Writer::new(space))));
     sink(Request::decode(bytes()));
+    sink(part(&request, byte()));
 }
 
 #[inline(never)]
@@ -107,6 +108,14 @@ fn serial() {
 #[inline(never)]
 fn stream() {
     sink(stream::split(bytes()));
+    sink(stream::request_length(bytes()));
+    sink(stream::Requests.length(bytes()));
+    sink(stream::Requests.is_valid(bytes()));
+    sink(stream::Requests.is_broadcast(bytes()));
+    sink(stream::Requests.forgives_stray_bytes());
+    let expected = stream::ExpectedReply::new(byte(), &request());
+    sink(expected.lengths());
+    sink(Expectation::accepts(&expected, size(), bytes()));
     buffer::<300>(|space| sink(stream::encode_request(byte(), &request(), space)));
     buffer::<300>(|space| sink(stream::encode_reply(byte(), &reply(), space)));
 }
@@ -178,7 +187,12 @@ fn daq<H: Hardware>(mut daq: Daq<H>) {
             3 => sink(daq.sample()),
             4 => buffer::<300>(|out| sink(daq.serve_serial(bytes(), out))),
             5 => buffer::<300>(|out| sink(daq.serve_stream(bytes(), out))),
-            6 => buffer::<300>(|out| sink(daq.serve(byte(), bytes(), out))),
+            6 => daq
+                .serve_can(byte(), byte(), bytes(), &mut [0; TRANSFER_MAX])
+                .into_iter()
+                .flatten()
+                .for_each(sink),
+            7 => buffer::<300>(|out| sink(daq.serve(byte(), bytes(), out))),
             _ => buffer::<300>(|out| sink(daq.dispatch(&request(), out))),
         }
     }

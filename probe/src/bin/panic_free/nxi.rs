@@ -1,7 +1,7 @@
 //! `nxi6201`: registers and the dispatcher.
 
 use jointbus_protocol::nxi6201::{
-    CHANNELS, Card, Channel, External, Hardware, OutputRange, RamHardware, Register, Settings,
+    CHANNELS, Card, Channel, External, Hardware, OutputRange, RamHardware, Register, STORED_LENGTH, Settings,
 };
 
 use crate::modbus::request;
@@ -57,6 +57,8 @@ fn registers() {
         sink(settings.read(register));
     }
     sink(settings.after_power_up());
+    sink(settings.encode());
+    sink(Settings::decode(&any([0; STORED_LENGTH])));
     settings.factory_reset();
     sink(settings);
     sink(Settings::default());
