@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use jointbus_protocol::modbus::BROADCAST;
+
 /// A request that was not answered, or not carried out, alike.
 pub(crate) struct Case<'a> {
     pub(crate) frame: &'a [u8],
@@ -85,7 +87,7 @@ pub(crate) static RULES: [Rule; 8] = [
         explains: |case| {
             case.function() == 0x0F
                 && usize::from(case.byte(6)) != usize::from(case.word(4)).div_ceil(8)
-                && case.we_refuse_with(3)
+                && (case.we_refuse_with(3) || case.is_broadcast() && !case.we_changed)
         },
     },
 ];
@@ -104,6 +106,11 @@ impl Case<'_> {
     /// A byte of the frame.
     fn byte(&self, at: usize) -> u8 {
         self.frame.get(at).copied().unwrap_or(0)
+    }
+
+    /// Whether nobody may answer.
+    fn is_broadcast(&self) -> bool {
+        self.frame.first() == Some(&BROADCAST) && self.ours.is_empty() && self.theirs.is_empty()
     }
 
     fn they_are_silent(&self) -> bool {
