@@ -3,6 +3,7 @@
 //! Every command first sets up what it needs and says so in one line; where it may not, it fails and names what to
 //! install. This file holds the command line only.
 
+mod agreement;
 mod demo;
 mod emulate;
 mod firmware;
@@ -48,6 +49,8 @@ enum Task {
     Size,
     /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
     Fuzz(fuzz::Budget),
+    /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
+    Agreement(agreement::Extent),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -76,6 +79,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
         Task::Size => size::size(&workspace),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
+        Task::Agreement(extent) => agreement::agree(&workspace, &extent),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }
