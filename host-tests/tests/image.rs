@@ -8,11 +8,12 @@ use jointbus_host_tests::bench::{Bench, Bridge, CAN_UNIT, OUTPUTS_UNIT, RS485_A_
 use jointbus_host_tests::bridge::{self, Limits, port};
 use jointbus_host_tests::client::{self, Client, Error};
 use jointbus_host_tests::emulator::{Emulator, Options, Port};
-use jointbus_protocol::modbus::ExceptionCode;
+use jointbus_protocol::modbus::{ExceptionCode, Request, rtu};
 use jointbus_protocol::nst::Sample;
 use jointbus_protocol::time::Instant as Moment;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// From the first to the last moment that a device could have told something.
@@ -159,6 +160,20 @@ fn a_can_frame_that_nobody_acknowledges_is_given_up_and_not_sent_later() {
 }
 
 #[test]
+fn the_image_goes_bus_off_and_returns() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    // 32 errors in a row, eight counts each, are one too many
+    emulator(&bench).fault("err 32").unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!(counters.bus_off, 1, "{counters:?}");
+    assert!(counters.transmit_errors > 0, "{counters:?}");
+    assert_eq!(bridge::about(&mut client).unwrap().health, 0, "it is back");
+}
+
+#[test]
 fn without_a_crystal_the_image_runs_from_the_internal_oscillator() {
     let mut options = options();
     options.crystal = false;
@@ -183,6 +198,83 @@ fn a_frame_with_a_data_length_code_above_8_is_eight_bytes_and_no_panic() {
     let counters = bridge::counters(&mut client, port::CAN).unwrap();
     assert_eq!((counters.received, counters.foreign), (1, 1));
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "no reset came between");
+}
+
+/// Probe period in ms, which the tests of the store change and look for.
+const PROBE_PERIOD: u16 = 0x0041;
+const SAVE: u16 = 0x5A7E;
+
+/// A file for the flash, gone when it is dropped.
+struct FlashFile(PathBuf);
+
+impl FlashFile {
+    fn new(name: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("jointbus-{name}-{}", std::process::id())))
+    }
+
+    fn options(&self) -> Options {
+        Options { flash: Some(self.0.clone()), ..options() }
+    }
+}
+
+impl Drop for FlashFile {
+    fn drop(&mut self) {
+        // it may never have been made
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn saved_settings_outlive_the_power() {
+    let file = FlashFile::new("saved");
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.modbus(bridge::UNIT).write_register(PROBE_PERIOD, 777).unwrap();
+    client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+    drop(bench);
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 0);
+    assert_eq!(client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap(), [777]);
+    client.nst(CAN_UNIT).sample().unwrap();
+}
+
+#[test]
+fn a_power_cut_while_settings_are_saved_leaves_the_former_or_the_new_ones() {
+    let file = FlashFile::new("cut");
+    let mut known = 1000;
+    for round in 1..=8u16 {
+        let bench = Bench::emulated(&file.options()).unwrap();
+        let mut client = bench.client().unwrap();
+        assert_eq!(bridge::about(&mut client).unwrap().health, 0, "the store is readable");
+        let found = client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap()[0];
+        assert!(found == known || found == known + 1, "{found} is neither {known} nor the next");
+        if round == 1 {
+            client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+        }
+        known = found;
+        client.modbus(bridge::UNIT).write_register(PROBE_PERIOD, known + 1).unwrap();
+        let save = Request::WriteSingleRegister { address: 0, value: SAVE };
+        let mut frame = [0; 8];
+        client.send(rtu::encode_request(bridge::UNIT, &save, &mut frame).unwrap()).unwrap();
+        // the moment of the cut is left to chance and spread a little
+        std::thread::sleep(Duration::from_micros(u64::from(round) * 700));
+        drop(bench);
+    }
+}
+
+#[test]
+fn an_unreadable_store_gives_the_defaults_and_says_so() {
+    let file = FlashFile::new("unreadable");
+    std::fs::write(&file.0, [0x5A; 2 * 128 * 1024]).unwrap();
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 1 << 3);
+    assert_eq!(client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap(), [1000]);
+    client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+    drop(bench);
+    let bench = Bench::emulated(&file.options()).unwrap();
+    assert_eq!(bridge::about(&mut bench.client().unwrap()).unwrap().health, 0);
 }
 
 #[test]

@@ -15,6 +15,9 @@ const PLUGIN: &str = "JOINTBUS_EMULATOR_PLUGIN";
 /// Tells the tests which Python has the real clients.
 const PYTHON: &str = "JOINTBUS_PYTHON";
 
+/// The crate that others take from a registry.
+const PROTOCOL: &str = "jointbus-protocol";
+
 /// One check.
 struct Step {
     /// What `--only` takes.
@@ -27,7 +30,7 @@ struct Step {
 }
 
 /// All checks, the quick ones first.
-static STEPS: [Step; 11] = [
+static STEPS: &[Step] = &[
     Step {
         name: "format",
         about: "the code is formatted",
@@ -90,6 +93,17 @@ static STEPS: [Step; 11] = [
         run: |workspace| {
             let mut command = workspace.cargo();
             run::shown(command.env("RUSTDOCFLAGS", "-D warnings").args(["doc", "--workspace", "--no-deps"]))
+        },
+    },
+    Step {
+        name: "package",
+        about: "the protocol crate can be published, and its one feature only adds",
+        prepare: setup::components,
+        run: |workspace| {
+            let lint = ["clippy", "--package", PROTOCOL, "--all-features", "--", "-D", "warnings"];
+            run::shown(workspace.cargo().args(lint))?;
+            // what is not committed is packaged as well, so that the check says the same at the desk
+            run::shown(workspace.cargo().args(["package", "--package", PROTOCOL, "--allow-dirty"]))
         },
     },
     Step {

@@ -9,17 +9,22 @@ mod qemu;
 
 use crate::board::Board;
 use crate::control::Control;
-use crate::{bxcan, rcc};
+use crate::{bxcan, flash, rcc};
 use port::{Handlers, Port};
 use qemu::{
     CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, Info, Notifier, Pointer, Qemu, RegionOps, SCALE_NS,
 };
 use std::ffi::{CStr, c_char, c_int, c_uint};
+use std::fs::File;
+use std::io::{self, Read};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
 use std::ptr;
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 const CAN1_BASE: u64 = 0x4000_6400;
 const RCC_BASE: u64 = 0x4002_3800;
+const FLASH_BASE: u64 = 0x4002_3C00;
 /// CAN1_TX, CAN1_RX0, CAN1_RX1, CAN1_SCE.
 const CAN1_INTERRUPTS: [c_int; 4] = [19, 20, 21, 22];
 /// Shortest time that a timer is set to.
@@ -34,6 +39,8 @@ static qemu_plugin_version: c_int = 1;
 
 static CAN_OPS: RegionOps = RegionOps::new(read_can, write_can, 4);
 static RCC_OPS: RegionOps = RegionOps::new(read_rcc, write_rcc, 1);
+static FLASH_OPS: RegionOps = RegionOps::new(read_flash_register, write_flash_register, 4);
+static SECTORS_OPS: RegionOps = RegionOps::new(read_sectors, write_sectors, 1);
 static CAN_HANDLERS: Handlers =
     Handlers { room: can_room, read: can_read, event: can_event, writable: can_writable };
 static CONSOLE_HANDLERS: Handlers =
@@ -55,6 +62,8 @@ struct State {
     starved: bool,
     /// The machine has been reset once: it has started.
     started: bool,
+    /// Keeps the flash's sectors when QEMU ends, however it ends.
+    flash: Option<File>,
 }
 
 /// What QEMU has given us.
@@ -76,20 +85,27 @@ unsafe impl Sync for Machine {}
 struct Options {
     crystal: bool,
     any_version: bool,
+    /// Where the flash's sectors are kept.
+    flash: Option<PathBuf>,
 }
 
 impl Options {
     fn parse<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Result<Self, String> {
-        let mut options = Self { crystal: true, any_version: false };
+        let mut options = Self { crystal: true, any_version: false, flash: None };
         for argument in arguments {
             match argument {
                 "crystal=on" => options.crystal = true,
                 "crystal=off" => options.crystal = false,
                 "anyversion=on" => options.any_version = true,
                 "anyversion=off" => options.any_version = false,
-                other => {
-                    return Err(format!("unknown argument {other:?}; there are crystal= and anyversion="));
-                }
+                other => match other.strip_prefix("flash=") {
+                    Some(path) => options.flash = Some(path.into()),
+                    None => {
+                        return Err(format!(
+                            "unknown argument {other:?}; there are crystal=, flash= and anyversion="
+                        ));
+                    }
+                },
             }
         }
         Ok(options)
@@ -141,19 +157,36 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
         format!("this QEMU does not export {name:?}; one that is built with loadable modules does")
     })?;
     check_version(&qemu, options.any_version)?;
-    let board = {
-        let mut board = Board::new();
-        board.apply(Control::Crystal(options.crystal));
-        board
-    };
+    let mut board = Board::new();
+    board.apply(Control::Crystal(options.crystal));
+    let flash = options.flash.map(|path| open_flash(&path, &mut board)).transpose()?;
     let sysclk_hz = 0; // Not set yet; the first update does.
-    *lock() =
-        Some(State { board, levels: [false; 4], sysclk_hz, armed: false, starved: false, started: false });
+    *lock() = Some(State {
+        board,
+        levels: [false; 4],
+        sysclk_hz,
+        armed: false,
+        starved: false,
+        started: false,
+        flash,
+    });
     let notifier = Notifier { notify: machine_complete, next: ptr::null_mut(), previous: ptr::null_mut() };
     let qemu = QEMU.get_or_init(|| qemu);
     // SAFETY: the notifier lives as long as the process.
     unsafe { (qemu.qemu_add_machine_init_done_notifier)(Box::leak(Box::new(notifier))) };
     Ok(())
+}
+
+/// Opens the file that keeps the flash and puts what it holds into the board; a new file is erased flash.
+fn open_flash(path: &Path, board: &mut Board) -> Result<File, String> {
+    let told = |error: io::Error| format!("{}: {error}", path.display());
+    let mut file =
+        File::options().read(true).write(true).create(true).truncate(false).open(path).map_err(told)?;
+    let mut content = Vec::new();
+    file.read_to_end(&mut content).map_err(told)?;
+    board.load_flash(&content);
+    file.write_all_at(board.flash().bytes(), 0).map_err(told)?;
+    Ok(file)
 }
 
 /// Structures of other releases may be laid out differently, which would end in memory errors.
@@ -226,6 +259,9 @@ impl Machine {
         unsafe { (qemu.timer_init_full)(self.timer, none, CLOCK_VIRTUAL, SCALE_NS, 0, tick, none) };
         overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, c"jointbus.can1");
         overlay(qemu, RCC_BASE, rcc::SIZE, &RCC_OPS, c"jointbus.rcc");
+        overlay(qemu, FLASH_BASE, flash::SIZE, &FLASH_OPS, c"jointbus.flash");
+        let sectors = u64::from(flash::SECTORS_BASE);
+        overlay(qemu, sectors, flash::SECTORS_SIZE, &SECTORS_OPS, c"jointbus.flash-sectors");
         if let Some(port) = &self.can {
             port.start(qemu, &CAN_HANDLERS);
         }
@@ -258,6 +294,15 @@ struct Effects {
 }
 
 impl State {
+    /// Keeps what has changed in the flash.
+    fn keep(&self, change: Option<flash::Change>) {
+        let (Some(file), Some(flash::Change { offset, length })) = (&self.flash, change) else { return };
+        let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
+        if let Err(error) = file.write_all_at(bytes, offset.into()) {
+            complain(&format!("the flash is not kept: {error}"));
+        }
+    }
+
     fn effects(&mut self) -> Effects {
         let now = self.board.interrupts();
         let levels = [now.transmit, now.receive[0], now.receive[1], now.status];
@@ -384,6 +429,28 @@ extern "C" fn write_rcc(_opaque: Pointer, offset: u64, value: u64, size: c_uint)
     });
 }
 
+extern "C" fn read_flash_register(_opaque: Pointer, offset: u64, _size: c_uint) -> u64 {
+    u64::from(with(|state| state.board.flash().read_register(offset as u32)))
+}
+
+extern "C" fn write_flash_register(_opaque: Pointer, offset: u64, value: u64, _size: c_uint) {
+    with(|state| {
+        let change = state.board.write_flash_register(offset as u32, value as u32);
+        state.keep(change);
+    });
+}
+
+extern "C" fn read_sectors(_opaque: Pointer, offset: u64, size: c_uint) -> u64 {
+    u64::from(with(|state| state.board.flash().read(offset as u32, size)))
+}
+
+extern "C" fn write_sectors(_opaque: Pointer, offset: u64, value: u64, size: c_uint) {
+    with(|state| {
+        let change = state.board.program_flash(offset as u32, value as u32, size);
+        state.keep(change);
+    });
+}
+
 /// The bytes of a register that an access touches.
 #[derive(Clone, Copy)]
 struct Part {
@@ -480,9 +547,9 @@ mod tests {
 
     #[test]
     fn arguments_are_checked() {
-        assert_eq!(Options::parse([]), Ok(Options { crystal: true, any_version: false }));
-        let both = Options { crystal: false, any_version: true };
-        assert_eq!(Options::parse(["crystal=off", "anyversion=on"]), Ok(both));
+        assert_eq!(Options::parse([]), Ok(Options { crystal: true, any_version: false, flash: None }));
+        let all = Options { crystal: false, any_version: true, flash: Some("a.bin".into()) };
+        assert_eq!(Options::parse(["crystal=off", "anyversion=on", "flash=a.bin"]), Ok(all));
         assert!(Options::parse(["crystal"]).is_err());
     }
 
