@@ -6,6 +6,7 @@ use crate::bus::{Bus, Event, IDLE_BITS};
 use crate::bxcan::{BxCan, Interrupts};
 use crate::control::Control;
 use crate::flash::{Change, Flash};
+use crate::iwdg::Watchdog;
 use crate::rcc::{Rcc, ResetCause};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::slcan::{LineReader, Outcome};
@@ -18,6 +19,8 @@ const CONSOLE_LINE: usize = 64;
 pub struct Board {
     rcc: Rcc,
     flash: Flash,
+    watchdog: Watchdog,
+    has_bitten: bool,
     can: BxCan,
     bus: Bus,
     adapter: Adapter,
@@ -34,6 +37,8 @@ impl Default for Board {
         Self {
             rcc: Rcc::new(),
             flash: Flash::new(),
+            watchdog: Watchdog::new(),
+            has_bitten: false,
             can: BxCan::new(),
             bus: Bus::default(),
             adapter: Adapter::default(),
@@ -57,8 +62,10 @@ impl Board {
     /// Resets the peripherals, for the cause that the fault console has chosen or by software. What surrounds the
     /// processor stays as it is: faults, the client, its frames, the crystal.
     pub fn reset(&mut self) {
-        self.rcc.reset(self.next_reset);
+        let bitten = std::mem::take(&mut self.has_bitten);
+        self.rcc.reset(if bitten { ResetCause::IndependentWatchdog } else { self.next_reset });
         self.flash.reset();
+        self.watchdog = Watchdog::new();
         self.reset_can();
     }
 
@@ -95,6 +102,22 @@ impl Board {
     /// Programs bytes of the flash; tells what has changed.
     pub fn program_flash(&mut self, offset: u32, value: u32, size: u32) -> Option<Change> {
         self.flash.program(offset, value, size)
+    }
+
+    /// Reads a register of the watchdog.
+    #[must_use]
+    pub const fn read_watchdog(&self, offset: u32) -> u32 {
+        self.watchdog.read(offset)
+    }
+
+    /// Writes a register of the watchdog; where that starts or feeds it: the nanoseconds after which it bites.
+    pub fn write_watchdog(&mut self, offset: u32, value: u32) -> Option<u64> {
+        self.watchdog.write(offset, value)
+    }
+
+    /// The watchdog bites: the reset that follows is its.
+    pub const fn watchdog_bites(&mut self) {
+        self.has_bitten = true;
     }
 
     /// Reads a register of the CAN controller; 0 without its clock.

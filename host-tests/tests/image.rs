@@ -294,15 +294,37 @@ fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
-    jump_to_nowhere(debugger);
+    jump(debugger, 0xF000_0000);
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
     client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
 }
 
-/// Sends the processor to an address where nothing is, with the debugger's remote protocol.
-fn jump_to_nowhere(debugger: SocketAddr) {
+#[test]
+fn a_main_loop_that_stands_still_is_reset_by_the_watchdog() {
+    let debugger = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let arguments = vec!["-gdb".into(), format!("tcp:{debugger}").into()];
+    let options = Options { watchdog: true, icount: Some(3), arguments, ..options() };
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "it was fed all the time");
+    jump(debugger, standstill());
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
+}
+
+/// An address in the image at which the processor jumps to where it is.
+fn standstill() -> u32 {
+    const BRANCH_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
+    const FLASH: u32 = 0x0800_0000;
+    let binary = std::fs::read(common::image().with_extension("bin")).unwrap();
+    let place = binary.as_chunks::<2>().0.iter().position(|code| *code == BRANCH_TO_ITSELF);
+    FLASH + 2 * u32::try_from(place.expect("every image has such an instruction")).unwrap()
+}
+
+/// Sends the processor to an address, with the debugger's remote protocol.
+fn jump(debugger: SocketAddr, address: u32) {
     /// Sends a packet and waits for the `reply` to it.
     fn packet(stream: &mut TcpStream, content: &str, reply: &str) {
         let sum = content.bytes().fold(0u8, u8::wrapping_add);
@@ -320,7 +342,7 @@ fn jump_to_nowhere(debugger: SocketAddr) {
     // connecting stops the processor; registers can be written once their description was read
     packet(&mut stream, "qXfer:features:read:target.xml:0,fff", "</target>");
     // register 15 is the program counter, its value in memory order
-    packet(&mut stream, "Pf=000000f0", "$OK#");
+    packet(&mut stream, &format!("Pf={:08x}", address.swap_bytes()), "$OK#");
     packet(&mut stream, "D", "$OK#");
 }
 

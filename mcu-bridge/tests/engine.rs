@@ -263,6 +263,25 @@ fn a_request_that_nobody_acknowledges_on_can_is_never_sent_late() {
 }
 
 #[test]
+fn a_request_that_finds_no_silence_is_never_sent_late() {
+    let mut world = World::new();
+    let write = modbus(32, &[6, 0, 0x60, 6, 0]);
+    world.engine.receive(Port::Rs485B, &[0x55], world.now);
+    world.engine.receive(Port::Host, &write, world.now);
+    let mut told = Vec::new();
+    for _ in 0..250 {
+        told.extend(world.exchange(&[], Duration::from_millis(5)));
+        // somebody babbles
+        world.engine.receive(Port::Rs485B, &[0x55], world.now);
+    }
+    assert_eq!(told, modbus(32, &[0x86, 0x0B]));
+    let counters = world.engine.counters(Port::Rs485B);
+    assert_eq!((counters.expired, counters.timeouts, counters.sent), (1, 0, 0));
+    assert_eq!(world.exchange(&[], LATER), [], "nor afterwards");
+    assert_eq!(world.exchange(&write, SOON), write, "the line is silent again");
+}
+
+#[test]
 fn after_bus_off_the_controller_returns_later_each_time() {
     let mut world = World::new();
     let mut waited = Vec::new();
