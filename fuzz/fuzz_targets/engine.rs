@@ -84,7 +84,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             engine.poll(*now);
         }
         11 => drop(settle(engine, now)),
-        12 => engine.set_bus_off(argument & 1 != 0),
+        12 => engine.set_bus_off(argument & 1 != 0, *now),
         13 => match argument & 3 {
             0 => engine.overrun(port),
             1 => engine.receive_error(port),
@@ -97,6 +97,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
         }
         _ => {
             let _ = (engine.take_command(), engine.take_port_change(port), engine.counters(port));
+            let _ = (engine.slot(argument.into()), engine.port(port), engine.quirks(), engine.health());
         }
     }
 }
@@ -132,6 +133,7 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
                 _ => engine.transmitted(port, *now),
             }
         }
+        moved |= engine.take_can_restart(*now);
         if engine.wants_abort() {
             engine.frames_aborted(*now);
             moved = true;
