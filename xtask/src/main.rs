@@ -9,6 +9,7 @@ mod emulate;
 mod firmware;
 mod fuzz;
 mod miri;
+mod msrv;
 mod probe;
 mod run;
 mod setup;

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{agreement, emulate, firmware, fuzz, miri, probe, run, setup};
+use crate::{agreement, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -105,6 +105,12 @@ static STEPS: &[Step] = &[
             // what is not committed is packaged as well, so that the check says the same at the desk
             run::shown(workspace.cargo().args(["package", "--package", PROTOCOL, "--allow-dirty"]))
         },
+    },
+    Step {
+        name: "msrv",
+        about: "the protocol crate builds and passes with the oldest Rust that it promises",
+        prepare: |_| Ok(()),
+        run: msrv::msrv,
     },
     Step {
         name: "tests",
