@@ -32,6 +32,8 @@ pub struct Controller {
     recovery: Option<u64>,
     /// Not before: an error passive sender lets others go first.
     suspended: Moment,
+    /// The frame on the wire is not sent again if it fails.
+    given_up: bool,
 }
 
 impl Controller {
@@ -47,6 +49,9 @@ impl Controller {
 
     /// Notes a failed attempt to send; the counter stands still where `counts` is false.
     fn failed(&mut self, counts: bool) {
+        if std::mem::take(&mut self.given_up) {
+            self.outbox.pop_front();
+        }
         if counts {
             self.transmit_errors += TRANSMIT_PENALTY;
         }
@@ -151,10 +156,12 @@ impl CanWire {
         self.on_wire.is_some_and(|on_wire| on_wire.sender == controller)
     }
 
-    /// Gives up the frames of a controller, except one that is on the wire.
+    /// Gives up the frames of a controller; one that is on the wire has this last attempt.
     pub fn abort(&mut self, controller: usize) {
-        let kept = usize::from(self.is_sending(controller));
-        self.controllers[controller].outbox.truncate(kept);
+        let sending = self.is_sending(controller);
+        let controller = &mut self.controllers[controller];
+        controller.outbox.truncate(usize::from(sending));
+        controller.given_up = sending;
     }
 
     /// Holds the bus dominant until `end`. A frame on the wire is destroyed; its sender, which hears dominant bits for
@@ -233,6 +240,7 @@ impl CanWire {
                 let controller = &mut self.controllers[sender];
                 controller.transmit_errors = controller.transmit_errors.saturating_sub(1);
                 controller.outbox.pop_front();
+                controller.given_up = false;
             }
             Ending::Failed => {
                 let controller = &mut self.controllers[sender];
@@ -370,5 +378,11 @@ mod tests {
         wire.controllers[0].outbox.push_back(frame(3));
         wire.abort(0);
         assert!(wire.controllers[0].outbox.is_empty());
+        wire.controllers[0].outbox.push_back(frame(4));
+        wire.disturbances.push_back((0, Disturbance::Bit(9)));
+        let end = wire.start(end.after(wire.bits(INTERMISSION))).unwrap();
+        wire.abort(0);
+        assert_eq!(wire.end(end).unwrap().ending, Ending::Failed);
+        assert!(wire.controllers[0].outbox.is_empty(), "it is not sent again");
     }
 }

@@ -6,7 +6,6 @@ use jointbus_mcu_bridge::engine::config::{Bus, Network, Route};
 use jointbus_protocol::modbus::{self, FunctionCode, Range, rtu};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
 use jointbus_protocol::time::Instant;
-use jointbus_protocol::wire::Writer;
 
 /// First register of the analog inputs and of the analog outputs of a module.
 const ANALOG_INPUTS: u16 = 0x40;
@@ -26,7 +25,10 @@ pub enum Question {
         length: u8,
     },
     /// NST: the six axes, which spell the moment of the reading.
-    Sample,
+    Sample {
+        /// How many registers: those of the axes, and more.
+        length: u8,
+    },
     /// NST: a write of a number that is used once.
     Write {
         /// First register.
@@ -90,7 +92,11 @@ impl Question {
     pub const fn is_read(&self) -> bool {
         matches!(
             self,
-            Self::Pattern { .. } | Self::Sample | Self::Inputs { .. } | Self::Nowhere | Self::Loopback { .. }
+            Self::Pattern { .. }
+                | Self::Sample { .. }
+                | Self::Inputs { .. }
+                | Self::Nowhere
+                | Self::Loopback { .. }
         )
     }
 
@@ -129,7 +135,7 @@ impl Question {
         let mut data = [0xA5; nst::WRITE_DATA_MAX];
         let in_nst = match *self {
             Self::Pattern { register, length } => Some(nst::Request::read(register, length)),
-            Self::Sample => Some(nst::Request::read(register::DATA.first, SAMPLE_LENGTH as u8)),
+            Self::Sample { length } => Some(nst::Request::read(register::DATA.first, length)),
             Self::Write { register, length, token } => {
                 data[..4].copy_from_slice(&token.to_be_bytes());
                 Some(nst::Request::Write { register, data: &data[..usize::from(length)] })
@@ -176,7 +182,9 @@ impl Question {
         let right = |fits: bool| if fits { Fit::Right } else { Fit::Wrong };
         let request = self.frame(remote);
         match (*self, reply) {
-            (Self::Sample, [0x03, 18, axes @ ..]) => {
+            (Self::Sample { length }, [0x03, count, axes @ ..])
+                if length == *count && axes.len() == usize::from(length) =>
+            {
                 let sample =
                     axes.first_chunk().map(|axes| Sample::decode(axes, SignEncoding::TwosComplement));
                 sample
@@ -217,15 +225,6 @@ impl Question {
             _ => 0..0,
         }
     }
-}
-
-/// What a device did, as the bytes of its answer's cause: from function code on, without the data.
-#[must_use]
-pub fn body(request: &nst::Request<'_>) -> Vec<u8> {
-    let mut buffer = [0; nst::serial::REQUEST_MAX];
-    let mut writer = Writer::new(&mut buffer);
-    let written = request.encode(&mut writer);
-    if written.is_ok() { writer.finish().to_vec() } else { Vec::new() }
 }
 
 /// Makes up questions; no two that are open at once are alike.
@@ -290,7 +289,7 @@ impl Questions {
                 }
             },
             Some((_, true)) => match self.random.below(3) {
-                0 => Question::Sample,
+                0 => Question::Sample { length: SAMPLE_LENGTH as u8 + self.random.below(16) as u8 },
                 _ => {
                     let length = match self.random.below(16) {
                         0 => self.random.between(19, self.longest.max(19).into()) as u8,

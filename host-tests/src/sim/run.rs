@@ -26,8 +26,8 @@ const NEXT: u64 = u64::MAX;
 /// Whether the host waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Manner {
-    /// For each answer, until it is too late for one.
-    Waits,
+    /// For each answer, for so many milliseconds at most; an answer may well come later.
+    Waits(u64),
     /// For nothing: requests come one to so many microseconds apart.
     Streams(u64),
 }
@@ -66,7 +66,7 @@ impl Plan {
         }
         settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
         let manner = match random.below(3) {
-            0 => Manner::Waits,
+            0 => Manner::Waits(random.pick(&[60, 200, 10_000])),
             _ => Manner::Streams(random.pick(&[500, 3000, 20_000])),
         };
         let fault_rate = random.pick(&[3000, 20_000, 100_000]);
@@ -96,6 +96,8 @@ pub struct Run<'q> {
     random: Random,
     plan: Plan,
     asked: u64,
+    /// When a host who waits goes on without an answer.
+    impatient: Moment,
 }
 
 impl<'q> Run<'q> {
@@ -112,6 +114,7 @@ impl<'q> Run<'q> {
             random,
             plan,
             asked: 0,
+            impatient: Moment::default(),
         }
     }
 
@@ -123,7 +126,7 @@ impl<'q> Run<'q> {
             let far = self.world.now().after(100 * MILLIS);
             // one who waits loses patience at a certain moment
             let patience = waiting_for.and_then(|unit| self.master.patience(unit));
-            let end = patience.map_or(far, |at| far.min(at.after(1)));
+            let end = patience.map_or(far, |at| far.min(at.after(1)).min(self.impatient));
             match self.world.next(end) {
                 Some(Notice::Alarm(NEXT)) => waiting_for = self.next_request(),
                 Some(Notice::HostHears(byte)) => {
@@ -138,7 +141,7 @@ impl<'q> Run<'q> {
                 None => {
                     self.master.forget(self.world.now());
                     if let Some(unit) = waiting_for
-                        && self.master.patience(unit).is_none()
+                        && (self.master.patience(unit).is_none() || self.world.now() >= self.impatient)
                     {
                         waiting_for = None;
                         self.world.set_alarm(self.world.now(), NEXT);
@@ -215,11 +218,14 @@ impl<'q> Run<'q> {
         if let Some(fault) = fault {
             self.world.inject(fault);
         }
-        let (unit, question) = self.questions.next(&self.network);
+        let (unit, question) = self.next_question();
         let at = self.world.host_sends(&question.frame(unit));
         self.master.ask(unit, question, at);
         match self.plan.manner {
-            Manner::Waits => return Some(unit),
+            Manner::Waits(patience) => {
+                self.impatient = at.after(patience * MILLIS);
+                return Some(unit);
+            }
             Manner::Streams(longest) => {
                 let pause = self.random.between(1, longest) * MICROS;
                 self.world.set_alarm(at.after(pause), NEXT);
@@ -228,9 +234,19 @@ impl<'q> Run<'q> {
         None
     }
 
+    /// A question that is not open yet.
+    fn next_question(&mut self) -> (u8, Question) {
+        loop {
+            let (unit, question) = self.questions.next(&self.network);
+            if !self.master.is_open(unit, &question) {
+                return (unit, question);
+            }
+        }
+    }
+
     /// Brings a fault of the host's line about; when its last byte ends.
     pub fn host_fault(&mut self, fault: Fault) -> Moment {
-        let (unit, question) = self.questions.next(&self.network);
+        let (unit, question) = self.next_question();
         let frame = question.frame(unit);
         let cut = 1 + self.random.index(frame.len() - 1);
         match fault {
@@ -244,7 +260,7 @@ impl<'q> Run<'q> {
             Fault::HostGlued => {
                 let at = self.world.host_sends(&frame);
                 self.master.ask(unit, question, at);
-                let (unit, question) = self.questions.next(&self.network);
+                let (unit, question) = self.next_question();
                 let at = self.world.host_sends(&question.frame(unit));
                 self.master.ask(unit, question, at);
                 at
