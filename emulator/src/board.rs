@@ -5,6 +5,8 @@ use crate::adapter::{Adapter, Request, SHORTEST_FRAME};
 use crate::bus::{Bus, Event, IDLE_BITS};
 use crate::bxcan::{BxCan, Interrupts};
 use crate::control::Control;
+use crate::flash::{Change, Flash};
+use crate::iwdg::Watchdog;
 use crate::rcc::{Rcc, ResetCause};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::slcan::{LineReader, Outcome};
@@ -16,6 +18,9 @@ const CONSOLE_LINE: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Board {
     rcc: Rcc,
+    flash: Flash,
+    watchdog: Watchdog,
+    has_bitten: bool,
     can: BxCan,
     bus: Bus,
     adapter: Adapter,
@@ -31,6 +36,9 @@ impl Default for Board {
     fn default() -> Self {
         Self {
             rcc: Rcc::new(),
+            flash: Flash::new(),
+            watchdog: Watchdog::new(),
+            has_bitten: false,
             can: BxCan::new(),
             bus: Bus::default(),
             adapter: Adapter::default(),
@@ -54,7 +62,10 @@ impl Board {
     /// Resets the peripherals, for the cause that the fault console has chosen or by software. What surrounds the
     /// processor stays as it is: faults, the client, its frames, the crystal.
     pub fn reset(&mut self) {
-        self.rcc.reset(self.next_reset);
+        let bitten = std::mem::take(&mut self.has_bitten);
+        self.rcc.reset(if bitten { ResetCause::IndependentWatchdog } else { self.next_reset });
+        self.flash.reset();
+        self.watchdog = Watchdog::new();
         self.reset_can();
     }
 
@@ -70,6 +81,43 @@ impl Board {
         if self.rcc.can1_is_reset() {
             self.reset_can();
         }
+    }
+
+    /// The flash controller and its sectors.
+    #[must_use]
+    pub const fn flash(&self) -> &Flash {
+        &self.flash
+    }
+
+    /// Puts what the flash held before into it.
+    pub fn load_flash(&mut self, content: &[u8]) {
+        self.flash.load(content);
+    }
+
+    /// Writes a register of the flash controller; tells what has changed in the sectors.
+    pub fn write_flash_register(&mut self, offset: u32, value: u32) -> Option<Change> {
+        self.flash.write_register(offset, value)
+    }
+
+    /// Programs bytes of the flash; tells what has changed.
+    pub fn program_flash(&mut self, offset: u32, value: u32, size: u32) -> Option<Change> {
+        self.flash.program(offset, value, size)
+    }
+
+    /// Reads a register of the watchdog.
+    #[must_use]
+    pub const fn read_watchdog(&self, offset: u32) -> u32 {
+        self.watchdog.read(offset)
+    }
+
+    /// Writes a register of the watchdog; where that starts or feeds it: the nanoseconds after which it bites.
+    pub fn write_watchdog(&mut self, offset: u32, value: u32) -> Option<u64> {
+        self.watchdog.write(offset, value)
+    }
+
+    /// The watchdog bites: the reset that follows is its.
+    pub const fn watchdog_bites(&mut self) {
+        self.has_bitten = true;
     }
 
     /// Reads a register of the CAN controller; 0 without its clock.

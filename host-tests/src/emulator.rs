@@ -100,6 +100,11 @@ pub struct Options {
     pub faults: Endpoint,
     /// Whether the board has its crystal.
     pub crystal: bool,
+    /// Whether the independent watchdog bites. In wall time a machine that is busy otherwise lets it starve, so this wants
+    /// [`Options::icount`].
+    pub watchdog: bool,
+    /// File that keeps the flash's sectors 10 and 11, whatever ends QEMU; without one they are erased at the start.
+    pub flash: Option<PathBuf>,
     /// With this, an instruction takes 2^N ns of the machine's time, however long the host needs for it.
     pub icount: Option<u8>,
     /// Hold the machine before its first instruction, until [`Emulator::resume`], so that no port misses anything.
@@ -123,6 +128,8 @@ impl Options {
             can: Endpoint::Free,
             faults: Endpoint::Free,
             crystal: true,
+            watchdog: false,
+            flash: None,
             icount: None,
             paused: false,
             patience: Duration::from_secs(30),
@@ -170,6 +177,13 @@ impl Options {
         command.arg("-kernel").arg(&self.image);
         let mut plugin = escaped(self.plugin.as_os_str());
         plugin.push(if self.crystal { ",crystal=on" } else { ",crystal=off" });
+        if self.watchdog {
+            plugin.push(",watchdog=on");
+        }
+        if let Some(flash) = &self.flash {
+            plugin.push(",flash=");
+            plugin.push(escaped(flash.as_os_str()));
+        }
         command.arg("-plugin").arg(plugin);
         if let Some(shift) = self.icount {
             command.args(["-icount", &format!("shift={shift}")]);

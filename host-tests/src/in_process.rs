@@ -7,7 +7,7 @@
 use crate::clock::Clock;
 use anyhow::{Context, Result, ensure};
 use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
-use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause};
+use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause, Settings};
 use jointbus_protocol::can::Id;
 use jointbus_protocol::slcan::{self, LineReader, Outcome};
 use std::io::{Read, Write};
@@ -176,6 +176,8 @@ fn prepare(stream: &TcpStream) -> std::io::Result<TcpStream> {
 /// What the firmware is to the engine: carries bytes, frames and the time to and fro.
 struct Driver {
     engine: Engine,
+    /// What the host saved; it survives a reboot and not the process.
+    stored: Option<Settings>,
     clock: Clock,
     connections: Arc<Connections>,
     lines: LineReader<{ slcan::LINE_MAX }>,
@@ -183,7 +185,13 @@ struct Driver {
 
 impl Driver {
     fn new(clock: Clock, connections: Arc<Connections>) -> Self {
-        Self { engine: start(clock, ResetCause::PowerOn), clock, connections, lines: LineReader::new() }
+        Self {
+            engine: start(clock, ResetCause::PowerOn),
+            stored: None,
+            clock,
+            connections,
+            lines: LineReader::new(),
+        }
     }
 
     fn run(&mut self, chunks: &Receiver<Chunk>, stopped: &AtomicBool) {
@@ -195,9 +203,16 @@ impl Driver {
                 Err(RecvTimeoutError::Disconnected) => return,
             }
             self.engine.poll(self.clock.now());
+            if let Some(settings) = self.engine.take_save() {
+                self.stored = Settings::decode(&settings);
+                self.engine.saved(self.stored.is_some());
+            }
             self.send();
             if self.engine.take_command() == Some(Command::Reboot) {
                 self.engine = start(self.clock, ResetCause::Software);
+                if let Some(settings) = &self.stored {
+                    self.engine.restore(settings, self.clock.now());
+                }
             }
         }
     }

@@ -8,11 +8,12 @@ use jointbus_host_tests::bench::{Bench, Bridge, CAN_UNIT, OUTPUTS_UNIT, RS485_A_
 use jointbus_host_tests::bridge::{self, Limits, port};
 use jointbus_host_tests::client::{self, Client, Error};
 use jointbus_host_tests::emulator::{Emulator, Options, Port};
-use jointbus_protocol::modbus::ExceptionCode;
+use jointbus_protocol::modbus::{ExceptionCode, Request, rtu};
 use jointbus_protocol::nst::Sample;
 use jointbus_protocol::time::Instant as Moment;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// From the first to the last moment that a device could have told something.
@@ -159,6 +160,20 @@ fn a_can_frame_that_nobody_acknowledges_is_given_up_and_not_sent_later() {
 }
 
 #[test]
+fn the_image_goes_bus_off_and_returns() {
+    let bench = Bench::emulated(&options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    // 32 errors in a row, eight counts each, are one too many
+    emulator(&bench).fault("err 32").unwrap();
+    client.nst(CAN_UNIT).sample().unwrap();
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!(counters.bus_off, 1, "{counters:?}");
+    assert!(counters.transmit_errors > 0, "{counters:?}");
+    assert_eq!(bridge::about(&mut client).unwrap().health, 0, "it is back");
+}
+
+#[test]
 fn without_a_crystal_the_image_runs_from_the_internal_oscillator() {
     let mut options = options();
     options.crystal = false;
@@ -185,6 +200,83 @@ fn a_frame_with_a_data_length_code_above_8_is_eight_bytes_and_no_panic() {
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "no reset came between");
 }
 
+/// Probe period in ms, which the tests of the store change and look for.
+const PROBE_PERIOD: u16 = 0x0041;
+const SAVE: u16 = 0x5A7E;
+
+/// A file for the flash, gone when it is dropped.
+struct FlashFile(PathBuf);
+
+impl FlashFile {
+    fn new(name: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("jointbus-{name}-{}", std::process::id())))
+    }
+
+    fn options(&self) -> Options {
+        Options { flash: Some(self.0.clone()), ..options() }
+    }
+}
+
+impl Drop for FlashFile {
+    fn drop(&mut self) {
+        // it may never have been made
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn saved_settings_outlive_the_power() {
+    let file = FlashFile::new("saved");
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    client.modbus(bridge::UNIT).write_register(PROBE_PERIOD, 777).unwrap();
+    client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+    drop(bench);
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 0);
+    assert_eq!(client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap(), [777]);
+    client.nst(CAN_UNIT).sample().unwrap();
+}
+
+#[test]
+fn a_power_cut_while_settings_are_saved_leaves_the_former_or_the_new_ones() {
+    let file = FlashFile::new("cut");
+    let mut known = 1000;
+    for round in 1..=8u16 {
+        let bench = Bench::emulated(&file.options()).unwrap();
+        let mut client = bench.client().unwrap();
+        assert_eq!(bridge::about(&mut client).unwrap().health, 0, "the store is readable");
+        let found = client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap()[0];
+        assert!(found == known || found == known + 1, "{found} is neither {known} nor the next");
+        if round == 1 {
+            client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+        }
+        known = found;
+        client.modbus(bridge::UNIT).write_register(PROBE_PERIOD, known + 1).unwrap();
+        let save = Request::WriteSingleRegister { address: 0, value: SAVE };
+        let mut frame = [0; 8];
+        client.send(rtu::encode_request(bridge::UNIT, &save, &mut frame).unwrap()).unwrap();
+        // the moment of the cut is left to chance and spread a little
+        std::thread::sleep(Duration::from_micros(u64::from(round) * 700));
+        drop(bench);
+    }
+}
+
+#[test]
+fn an_unreadable_store_gives_the_defaults_and_says_so() {
+    let file = FlashFile::new("unreadable");
+    std::fs::write(&file.0, [0x5A; 2 * 128 * 1024]).unwrap();
+    let bench = Bench::emulated(&file.options()).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 1 << 3);
+    assert_eq!(client.modbus(bridge::UNIT).read_holding_registers(PROBE_PERIOD, 1).unwrap(), [1000]);
+    client.modbus(bridge::UNIT).write_register(0, SAVE).unwrap();
+    drop(bench);
+    let bench = Bench::emulated(&file.options()).unwrap();
+    assert_eq!(bridge::about(&mut bench.client().unwrap()).unwrap().health, 0);
+}
+
 #[test]
 fn the_reboot_command_is_answered_and_then_carried_out() {
     let bench = Bench::emulated(&options()).unwrap();
@@ -202,15 +294,37 @@ fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
-    jump_to_nowhere(debugger);
+    jump(debugger, 0xF000_0000);
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
     client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
 }
 
-/// Sends the processor to an address where nothing is, with the debugger's remote protocol.
-fn jump_to_nowhere(debugger: SocketAddr) {
+#[test]
+fn a_main_loop_that_stands_still_is_reset_by_the_watchdog() {
+    let debugger = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let arguments = vec!["-gdb".into(), format!("tcp:{debugger}").into()];
+    let options = Options { watchdog: true, icount: Some(3), arguments, ..options() };
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "it was fed all the time");
+    jump(debugger, standstill());
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
+}
+
+/// An address in the image at which the processor jumps to where it is.
+fn standstill() -> u32 {
+    const BRANCH_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
+    const FLASH: u32 = 0x0800_0000;
+    let binary = std::fs::read(common::image().with_extension("bin")).unwrap();
+    let place = binary.as_chunks::<2>().0.iter().position(|code| *code == BRANCH_TO_ITSELF);
+    FLASH + 2 * u32::try_from(place.expect("every image has such an instruction")).unwrap()
+}
+
+/// Sends the processor to an address, with the debugger's remote protocol.
+fn jump(debugger: SocketAddr, address: u32) {
     /// Sends a packet and waits for the `reply` to it.
     fn packet(stream: &mut TcpStream, content: &str, reply: &str) {
         let sum = content.bytes().fold(0u8, u8::wrapping_add);
@@ -228,7 +342,7 @@ fn jump_to_nowhere(debugger: SocketAddr) {
     // connecting stops the processor; registers can be written once their description was read
     packet(&mut stream, "qXfer:features:read:target.xml:0,fff", "</target>");
     // register 15 is the program counter, its value in memory order
-    packet(&mut stream, "Pf=000000f0", "$OK#");
+    packet(&mut stream, &format!("Pf={:08x}", address.swap_bytes()), "$OK#");
     packet(&mut stream, "D", "$OK#");
 }
 

@@ -2,6 +2,7 @@
 
 mod world;
 
+use jointbus_mcu_bridge::engine::Settings;
 use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::nst::SignEncoding;
@@ -98,6 +99,21 @@ fn an_unknown_function_code_is_delimited_by_silence_and_forwarded() {
     let mut world = World::new();
     assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], LATER), [0xC1, 1]);
     assert_eq!(world.sent[0].2, modbus(1, &[0x41, 1, 2, 3]));
+}
+
+#[test]
+fn noise_in_place_of_an_open_reply_wakes_the_bridge_once() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Rs485B];
+    assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], SOON), []);
+    assert_eq!(world.sent.len(), 1);
+    world.engine.receive(Port::Rs485B, &[0xDE; 13], world.now);
+    let pause = world.engine.deadline().expect("silence ends it");
+    world.engine.poll(pause);
+    let next = world.engine.deadline().expect("the timeout");
+    assert!(next > pause, "due at {pause:?}, and at {next:?} again");
+    assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 1);
+    assert_eq!(world.exchange(&[], LATER), modbus(32, &[0xC1, 0x0B]));
 }
 
 #[test]
@@ -247,6 +263,48 @@ fn a_request_that_nobody_acknowledges_on_can_is_never_sent_late() {
 }
 
 #[test]
+fn a_request_that_finds_no_silence_is_never_sent_late() {
+    let mut world = World::new();
+    let write = modbus(32, &[6, 0, 0x60, 6, 0]);
+    world.engine.receive(Port::Rs485B, &[0x55], world.now);
+    world.engine.receive(Port::Host, &write, world.now);
+    let mut told = Vec::new();
+    for _ in 0..250 {
+        told.extend(world.exchange(&[], Duration::from_millis(5)));
+        // somebody babbles
+        world.engine.receive(Port::Rs485B, &[0x55], world.now);
+    }
+    assert_eq!(told, modbus(32, &[0x86, 0x0B]));
+    let counters = world.engine.counters(Port::Rs485B);
+    assert_eq!((counters.expired, counters.timeouts, counters.sent), (1, 0, 0));
+    assert_eq!(world.exchange(&[], LATER), [], "nor afterwards");
+    assert_eq!(world.exchange(&write, SOON), write, "the line is silent again");
+}
+
+#[test]
+fn after_bus_off_the_controller_returns_later_each_time() {
+    let mut world = World::new();
+    let mut waited = Vec::new();
+    for round in 0..9 {
+        let off = world.now;
+        world.engine.set_bus_off(true, off);
+        assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], Duration::ZERO), [4, 2, 0, 4], "bus-off now");
+        let restart = world.engine.deadline().unwrap();
+        assert!(!world.engine.take_can_restart(off));
+        world.now = restart;
+        assert!(world.engine.take_can_restart(restart) && !world.engine.take_can_restart(restart), "once");
+        waited.push(restart.since(off).as_micros() / 1000);
+        world.engine.set_bus_off(false, restart);
+        if round == 7 {
+            assert_eq!(world.nst(1, &READ, SOON), axes(1));
+        }
+    }
+    assert_eq!(waited, [10, 20, 40, 80, 160, 320, 640, 1000, 10], "a frame that was sent ends the row");
+    assert_eq!(world.engine.counters(Port::Can).bus_off, 9);
+    assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0]);
+}
+
+#[test]
 fn unknown_units_and_broken_frames_end_with_silence() {
     let mut world = World::new();
     assert_eq!(world.exchange(&modbus(99, &[3, 0, 0, 0, 1]), SOON), []);
@@ -387,6 +445,34 @@ fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
     }
     world.pass(Duration::from_millis(20_000));
     assert_eq!(world.modbus(247, &[3, 1, 0x15, 0, 1], SOON), [3, 2, 0x03, 0xE8], "confirmed");
+}
+
+#[test]
+fn what_is_confirmed_is_saved_and_restored() {
+    let save = [6, 0, 0, 0x5A, 0x7E];
+    let mut world = World::new();
+    for request in [[6, 1, 0x15, 0, 77], [6, 0, 0, 0xA9, 0x91], [6, 0, 0, 0xC0, 0xF1], [6, 1, 0x15, 0, 88]] {
+        assert_eq!(world.modbus(247, &request, SOON), request);
+    }
+    assert_eq!(world.modbus(247, &[6, 0, 0x41, 0, 99], SOON), [6, 0, 0x41, 0, 99]);
+    assert_eq!(world.modbus(247, &[6, 0, 0x55, 0, 5], SOON), [6, 0, 0x55, 0, 5]);
+    assert_eq!(world.modbus(247, &save, SOON), [], "answered when it is done");
+    assert_eq!(world.modbus(247, &save, SOON), [0x86, 6], "one at a time");
+    let stored = world.engine.take_save().unwrap();
+    assert!(world.engine.take_save().is_none());
+    world.engine.saved(true);
+    assert_eq!(world.exchange(&[], SOON), modbus(247, &save));
+
+    let mut other = World::new();
+    other.engine.restore(&Settings::decode(&stored).unwrap(), other.now);
+    assert_eq!(other.modbus(247, &[3, 1, 0x15, 0, 1], SOON), [3, 2, 0, 77], "confirmed, not staged");
+    assert_eq!(other.modbus(247, &[3, 0, 0x41, 0, 1], SOON), [3, 2, 0, 99]);
+    assert_eq!(other.modbus(247, &[3, 0, 0x55, 0, 1], SOON), [3, 2, 0, 5]);
+    assert_eq!(other.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0]);
+    assert_eq!(other.modbus(247, &save, SOON), []);
+    other.engine.take_save().unwrap();
+    other.engine.saved(false);
+    assert_eq!(other.exchange(&[], SOON), modbus(247, &[0x86, 4]), "the store failed");
 }
 
 #[test]

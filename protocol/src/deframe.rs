@@ -6,6 +6,8 @@
 //! Both are bounded and do work in proportion to the bytes they are fed.
 
 use crate::time::{Duration, Instant};
+use crate::wire;
+use core::cell::Cell;
 
 /// What the first bytes of a frame tell about its length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -211,7 +213,7 @@ impl<const N: usize> BurstDeframer<N> {
         self.overflow |= kept.len() < bytes.len();
         let end = self.used.saturating_add(kept.len());
         if let Some(place) = self.buffer.get_mut(self.used..end) {
-            place.copy_from_slice(kept);
+            wire::copy(kept, place);
             self.used = end;
         }
     }
@@ -316,9 +318,10 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
     fn slide(&mut self, lengths: &[usize; L]) {
         let tried = lengths.iter().zip(self.next).filter(|(length, _)| **length > 0);
         let done = tried.map(|(_, next)| next).min().filter(|done| *done > 0).unwrap_or(self.used);
-        if done <= self.used {
-            self.buffer.copy_within(done..self.used, 0);
-        }
+        // `copy_within` checks its range once more and keeps a panic for it; cells may overlap
+        let cells = Cell::from_mut(self.buffer.as_mut_slice()).as_slice_of_cells();
+        let kept = cells.iter().take(self.used).skip(done);
+        cells.iter().zip(kept).for_each(|(to, from)| to.set(from.get()));
         self.used = self.used.saturating_sub(done);
         self.next = self.next.map(|next| next.saturating_sub(done));
     }

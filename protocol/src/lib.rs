@@ -163,6 +163,12 @@
 #[cfg(test)]
 extern crate std;
 
+/// How far a loop over all values goes at once: one by one, but under miri, which interprets every step, this far.
+#[cfg(test)]
+const fn stride(under_miri: usize) -> usize {
+    if cfg!(miri) { under_miri } else { 1 }
+}
+
 pub mod can;
 pub mod checksum;
 mod codes;

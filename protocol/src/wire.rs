@@ -143,7 +143,7 @@ impl<'a> Writer<'a> {
     pub(crate) fn patch(&mut self, at: usize, bytes: &[u8]) {
         let end = at.saturating_add(bytes.len());
         if let Some(place) = self.buffer.get_mut(..self.used).and_then(|written| written.get_mut(at..end)) {
-            place.copy_from_slice(bytes);
+            copy(bytes, place);
         }
     }
 
@@ -157,6 +157,15 @@ impl<'a> Writer<'a> {
     #[must_use]
     pub fn finish(self) -> &'a [u8] {
         self.buffer.get(..self.used).unwrap_or(&[])
+    }
+}
+
+/// Copies as many bytes as there are in both: unlike `copy_from_slice` it cannot panic, so the optimiser need not
+/// prove that the lengths are equal.
+pub(crate) fn copy(from: &[u8], to: &mut [u8]) {
+    let length = from.len().min(to.len());
+    if let (Some(from), Some(to)) = (from.get(..length), to.get_mut(..length)) {
+        to.copy_from_slice(from);
     }
 }
 

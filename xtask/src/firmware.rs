@@ -44,10 +44,11 @@ pub(crate) struct Image {
 
 /// How much of the part an image takes, in bytes.
 #[derive(Debug, PartialEq, Eq)]
-struct Usage {
-    flash: u32,
+pub(crate) struct Usage {
+    /// Code, constants and the initial values of variables.
+    pub(crate) flash: u32,
     /// Everything that has an address in RAM: initialised, zeroed, and kept over a reset.
-    static_ram: u32,
+    pub(crate) static_ram: u32,
     /// What the static variables leave to the stack.
     stack: u32,
 }
@@ -105,6 +106,11 @@ fn cargo(workspace: &Workspace, toolchain: Toolchain, subcommand: &str, more: &[
         .args(["--profile", PROFILE, "--package", PACKAGE, "--bin", BINARY, "--features", FEATURE])
         .args(more);
     run::shown(&mut command)
+}
+
+/// How much of the part an image takes.
+pub(crate) fn usage(file: &[u8]) -> Result<Usage> {
+    measure(file).map(|(_, _, usage)| usage)
 }
 
 /// What goes to flash, in the order of its addresses, where it starts, and what it takes.

@@ -6,8 +6,12 @@
 mod demo;
 mod emulate;
 mod firmware;
+mod fuzz;
+mod miri;
+mod probe;
 mod run;
 mod setup;
+mod size;
 mod test;
 mod workspace;
 
@@ -40,6 +44,10 @@ enum Task {
         #[arg(long)]
         seconds: Option<u64>,
     },
+    /// Show the flash, static RAM and stack that the server and each device dispatcher take on the part
+    Size,
+    /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
+    Fuzz(fuzz::Budget),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -66,6 +74,8 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         }
         Task::Emulate(ports) => emulate::emulate(&workspace, &ports),
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
+        Task::Size => size::size(&workspace),
+        Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{emulate, firmware, run, setup};
+use crate::{emulate, firmware, fuzz, miri, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -14,6 +14,9 @@ const IMAGE: &str = "JOINTBUS_IMAGE";
 const PLUGIN: &str = "JOINTBUS_EMULATOR_PLUGIN";
 /// Tells the tests which Python has the real clients.
 const PYTHON: &str = "JOINTBUS_PYTHON";
+
+/// The crate that others take from a registry.
+const PROTOCOL: &str = "jointbus-protocol";
 
 /// One check.
 struct Step {
@@ -27,7 +30,7 @@ struct Step {
 }
 
 /// All checks, the quick ones first.
-static STEPS: [Step; 7] = [
+static STEPS: &[Step] = &[
     Step {
         name: "format",
         about: "the code is formatted",
@@ -57,7 +60,10 @@ static STEPS: [Step; 7] = [
             setup::toolchain(workspace)?;
             Ok(())
         },
-        run: firmware::clippy,
+        run: |workspace| {
+            firmware::clippy(workspace)?;
+            probe::clippy(workspace)
+        },
     },
     Step {
         name: "firmware",
@@ -67,6 +73,12 @@ static STEPS: [Step; 7] = [
             firmware::build(workspace)?.report();
             Ok(())
         },
+    },
+    Step {
+        name: "panic-free",
+        about: "nothing in the protocol crate can panic on the part, optimised for size or for speed",
+        prepare: |workspace| setup::toolchain(workspace).map(drop),
+        run: probe::panic_free,
     },
     Step {
         name: "emulator",
@@ -84,10 +96,33 @@ static STEPS: [Step; 7] = [
         },
     },
     Step {
+        name: "package",
+        about: "the protocol crate can be published, and its one feature only adds",
+        prepare: setup::components,
+        run: |workspace| {
+            let lint = ["clippy", "--package", PROTOCOL, "--all-features", "--", "-D", "warnings"];
+            run::shown(workspace.cargo().args(lint))?;
+            // what is not committed is packaged as well, so that the check says the same at the desk
+            run::shown(workspace.cargo().args(["package", "--package", PROTOCOL, "--allow-dirty"]))
+        },
+    },
+    Step {
         name: "tests",
         about: "the tests pass, also those on the emulated part and with real clients",
         prepare: setup::all,
         run: tests,
+    },
+    Step {
+        name: "miri",
+        about: "the protocol crate's unit tests have no undefined behaviour",
+        prepare: setup::nightly::miri,
+        run: miri::miri,
+    },
+    Step {
+        name: "fuzz",
+        about: "a minute of hostile input finds nothing",
+        prepare: setup::nightly::fuzzer,
+        run: fuzz::briefly,
     },
 ];
 

@@ -9,17 +9,24 @@ mod qemu;
 
 use crate::board::Board;
 use crate::control::Control;
-use crate::{bxcan, rcc};
+use crate::{bxcan, flash, iwdg, rcc};
 use port::{Handlers, Port};
 use qemu::{
-    CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, Info, Notifier, Pointer, Qemu, RegionOps, SCALE_NS,
+    CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, GUEST_RESET, Info, Notifier, Pointer, Qemu, RegionOps,
+    SCALE_NS,
 };
 use std::ffi::{CStr, c_char, c_int, c_uint};
+use std::fs::File;
+use std::io::{self, Read};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
 use std::ptr;
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 const CAN1_BASE: u64 = 0x4000_6400;
 const RCC_BASE: u64 = 0x4002_3800;
+const IWDG_BASE: u64 = 0x4000_3000;
+const FLASH_BASE: u64 = 0x4002_3C00;
 /// CAN1_TX, CAN1_RX0, CAN1_RX1, CAN1_SCE.
 const CAN1_INTERRUPTS: [c_int; 4] = [19, 20, 21, 22];
 /// Shortest time that a timer is set to.
@@ -34,6 +41,9 @@ static qemu_plugin_version: c_int = 1;
 
 static CAN_OPS: RegionOps = RegionOps::new(read_can, write_can, 4);
 static RCC_OPS: RegionOps = RegionOps::new(read_rcc, write_rcc, 1);
+static FLASH_OPS: RegionOps = RegionOps::new(read_flash_register, write_flash_register, 4);
+static IWDG_OPS: RegionOps = RegionOps::new(read_watchdog, write_watchdog, 1);
+static SECTORS_OPS: RegionOps = RegionOps::new(read_sectors, write_sectors, 1);
 static CAN_HANDLERS: Handlers =
     Handlers { room: can_room, read: can_read, event: can_event, writable: can_writable };
 static CONSOLE_HANDLERS: Handlers =
@@ -55,6 +65,10 @@ struct State {
     starved: bool,
     /// The machine has been reset once: it has started.
     started: bool,
+    /// Keeps the flash's sectors when QEMU ends, however it ends.
+    flash: Option<File>,
+    /// Whether the independent watchdog bites.
+    watchdog: bool,
 }
 
 /// What QEMU has given us.
@@ -62,6 +76,7 @@ struct Machine {
     interrupts: [Pointer; 4],
     clock: Pointer,
     timer: Pointer,
+    watchdog: Pointer,
     can: Option<Port>,
     console: Option<Port>,
 }
@@ -76,20 +91,31 @@ unsafe impl Sync for Machine {}
 struct Options {
     crystal: bool,
     any_version: bool,
+    /// Whether the independent watchdog bites.
+    watchdog: bool,
+    /// Where the flash's sectors are kept.
+    flash: Option<PathBuf>,
 }
 
 impl Options {
     fn parse<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Result<Self, String> {
-        let mut options = Self { crystal: true, any_version: false };
+        let mut options = Self { crystal: true, any_version: false, watchdog: false, flash: None };
         for argument in arguments {
             match argument {
                 "crystal=on" => options.crystal = true,
                 "crystal=off" => options.crystal = false,
+                "watchdog=on" => options.watchdog = true,
+                "watchdog=off" => options.watchdog = false,
                 "anyversion=on" => options.any_version = true,
                 "anyversion=off" => options.any_version = false,
-                other => {
-                    return Err(format!("unknown argument {other:?}; there are crystal= and anyversion="));
-                }
+                other => match other.strip_prefix("flash=") {
+                    Some(path) => options.flash = Some(path.into()),
+                    None => {
+                        return Err(format!(
+                            "unknown argument {other:?}; there are crystal=, watchdog=, flash= and anyversion="
+                        ));
+                    }
+                },
             }
         }
         Ok(options)
@@ -141,19 +167,37 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
         format!("this QEMU does not export {name:?}; one that is built with loadable modules does")
     })?;
     check_version(&qemu, options.any_version)?;
-    let board = {
-        let mut board = Board::new();
-        board.apply(Control::Crystal(options.crystal));
-        board
-    };
+    let mut board = Board::new();
+    board.apply(Control::Crystal(options.crystal));
+    let flash = options.flash.map(|path| open_flash(&path, &mut board)).transpose()?;
     let sysclk_hz = 0; // Not set yet; the first update does.
-    *lock() =
-        Some(State { board, levels: [false; 4], sysclk_hz, armed: false, starved: false, started: false });
+    *lock() = Some(State {
+        board,
+        levels: [false; 4],
+        sysclk_hz,
+        armed: false,
+        starved: false,
+        started: false,
+        flash,
+        watchdog: options.watchdog,
+    });
     let notifier = Notifier { notify: machine_complete, next: ptr::null_mut(), previous: ptr::null_mut() };
     let qemu = QEMU.get_or_init(|| qemu);
     // SAFETY: the notifier lives as long as the process.
     unsafe { (qemu.qemu_add_machine_init_done_notifier)(Box::leak(Box::new(notifier))) };
     Ok(())
+}
+
+/// Opens the file that keeps the flash and puts what it holds into the board; a new file is erased flash.
+fn open_flash(path: &Path, board: &mut Board) -> Result<File, String> {
+    let told = |error: io::Error| format!("{}: {error}", path.display());
+    let mut file =
+        File::options().read(true).write(true).create(true).truncate(false).open(path).map_err(told)?;
+    let mut content = Vec::new();
+    file.read_to_end(&mut content).map_err(told)?;
+    board.load_flash(&content);
+    file.write_all_at(board.flash().bytes(), 0).map_err(told)?;
+    Ok(file)
 }
 
 /// Structures of other releases may be laid out differently, which would end in memory errors.
@@ -215,6 +259,7 @@ impl Machine {
             interrupts: CAN1_INTERRUPTS.map(|number| unsafe { (qemu.qdev_get_gpio_in)(processor, number) }),
             clock: find(c"/machine/SYSCLK", c"clock"),
             timer: qemu::opaque_structure(),
+            watchdog: qemu::opaque_structure(),
             can: Port::open(qemu, c"can0", &CAN_HANDLERS),
             console: Port::open(qemu, c"canctl", &CONSOLE_HANDLERS),
         })
@@ -224,8 +269,14 @@ impl Machine {
         let none = ptr::null_mut();
         // SAFETY: the timer's memory is large enough and lives as long as the process, like the function.
         unsafe { (qemu.timer_init_full)(self.timer, none, CLOCK_VIRTUAL, SCALE_NS, 0, tick, none) };
+        // SAFETY: as above.
+        unsafe { (qemu.timer_init_full)(self.watchdog, none, CLOCK_VIRTUAL, SCALE_NS, 0, bite, none) };
+        overlay(qemu, IWDG_BASE, iwdg::SIZE, &IWDG_OPS, c"jointbus.iwdg");
         overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, c"jointbus.can1");
         overlay(qemu, RCC_BASE, rcc::SIZE, &RCC_OPS, c"jointbus.rcc");
+        overlay(qemu, FLASH_BASE, flash::SIZE, &FLASH_OPS, c"jointbus.flash");
+        let sectors = u64::from(flash::SECTORS_BASE);
+        overlay(qemu, sectors, flash::SECTORS_SIZE, &SECTORS_OPS, c"jointbus.flash-sectors");
         if let Some(port) = &self.can {
             port.start(qemu, &CAN_HANDLERS);
         }
@@ -258,6 +309,15 @@ struct Effects {
 }
 
 impl State {
+    /// Keeps what has changed in the flash.
+    fn keep(&self, change: Option<flash::Change>) {
+        let (Some(file), Some(flash::Change { offset, length })) = (&self.flash, change) else { return };
+        let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
+        if let Err(error) = file.write_all_at(bytes, offset.into()) {
+            complain(&format!("the flash is not kept: {error}"));
+        }
+    }
+
     fn effects(&mut self) -> Effects {
         let now = self.board.interrupts();
         let levels = [now.transmit, now.receive[0], now.receive[1], now.status];
@@ -293,7 +353,7 @@ impl Machine {
             self.set_clock(qemu, hz);
         }
         if let Some(delay) = effects.deadline_ns {
-            self.set_timer(qemu, delay);
+            self.set_timer(qemu, self.timer, delay);
         }
         send(qemu, self.can.as_ref(), &effects.can_output);
         send(qemu, self.console.as_ref(), &effects.console_output);
@@ -315,12 +375,10 @@ impl Machine {
         }
     }
 
-    fn set_timer(&self, qemu: &Qemu, delay: u64) {
+    fn set_timer(&self, qemu: &Qemu, timer: Pointer, delay: u64) {
         let delay = i64::try_from(delay.max(SHORTEST_NS)).unwrap_or(i64::MAX / 2);
         // SAFETY: the timer was initialised before anything could set it.
-        unsafe {
-            (qemu.timer_mod_ns)(self.timer, (qemu.qemu_clock_get_ns)(CLOCK_VIRTUAL).saturating_add(delay))
-        };
+        unsafe { (qemu.timer_mod_ns)(timer, (qemu.qemu_clock_get_ns)(CLOCK_VIRTUAL).saturating_add(delay)) };
     }
 }
 
@@ -349,6 +407,17 @@ extern "C" fn reset(_opaque: Pointer) {
             state.board.reset();
         }
     });
+    if let Some(machine) = MACHINE.get() {
+        // SAFETY: the timer was initialised before anything could be reset.
+        unsafe { (qemu().timer_del)(machine.watchdog) };
+    }
+}
+
+/// The watchdog was not fed in time.
+extern "C" fn bite(_opaque: Pointer) {
+    with(|state| state.board.watchdog_bites());
+    // SAFETY: the reason is one of QEMU's.
+    unsafe { (qemu().qemu_system_reset_request)(GUEST_RESET) };
 }
 
 extern "C" fn tick(_opaque: Pointer) {
@@ -359,7 +428,7 @@ extern "C" fn tick(_opaque: Pointer) {
         next
     });
     if let (Some(next), Some(machine)) = (next, MACHINE.get()) {
-        machine.set_timer(qemu(), next);
+        machine.set_timer(qemu(), machine.timer, next);
     }
 }
 
@@ -382,6 +451,42 @@ extern "C" fn write_rcc(_opaque: Pointer, offset: u64, value: u64, size: c_uint)
         let whole = part.write(state.board.read_rcc(part.register), value as u32);
         state.board.write_rcc(part.register, whole);
     });
+}
+
+extern "C" fn read_flash_register(_opaque: Pointer, offset: u64, _size: c_uint) -> u64 {
+    u64::from(with(|state| state.board.flash().read_register(offset as u32)))
+}
+
+extern "C" fn write_flash_register(_opaque: Pointer, offset: u64, value: u64, _size: c_uint) {
+    with(|state| {
+        let change = state.board.write_flash_register(offset as u32, value as u32);
+        state.keep(change);
+    });
+}
+
+extern "C" fn read_sectors(_opaque: Pointer, offset: u64, size: c_uint) -> u64 {
+    u64::from(with(|state| state.board.flash().read(offset as u32, size)))
+}
+
+extern "C" fn write_sectors(_opaque: Pointer, offset: u64, value: u64, size: c_uint) {
+    with(|state| {
+        let change = state.board.program_flash(offset as u32, value as u32, size);
+        state.keep(change);
+    });
+}
+
+extern "C" fn read_watchdog(_opaque: Pointer, offset: u64, _size: c_uint) -> u64 {
+    u64::from(with(|state| state.board.read_watchdog(offset as u32)))
+}
+
+extern "C" fn write_watchdog(_opaque: Pointer, offset: u64, value: u64, _size: c_uint) {
+    let period = with(|state| {
+        let period = state.board.write_watchdog(offset as u32, value as u32);
+        period.filter(|_| state.watchdog)
+    });
+    if let (Some(period), Some(machine)) = (period, MACHINE.get()) {
+        machine.set_timer(qemu(), machine.watchdog, period);
+    }
 }
 
 /// The bytes of a register that an access touches.
@@ -480,9 +585,12 @@ mod tests {
 
     #[test]
     fn arguments_are_checked() {
-        assert_eq!(Options::parse([]), Ok(Options { crystal: true, any_version: false }));
-        let both = Options { crystal: false, any_version: true };
-        assert_eq!(Options::parse(["crystal=off", "anyversion=on"]), Ok(both));
+        assert_eq!(
+            Options::parse([]),
+            Ok(Options { crystal: true, any_version: false, watchdog: false, flash: None })
+        );
+        let all = Options { crystal: false, any_version: true, watchdog: true, flash: Some("a.bin".into()) };
+        assert_eq!(Options::parse(["crystal=off", "anyversion=on", "watchdog=on", "flash=a.bin"]), Ok(all));
         assert!(Options::parse(["crystal"]).is_err());
     }
 

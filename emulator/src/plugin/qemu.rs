@@ -8,6 +8,9 @@ use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 /// A pointer to something of QEMU's.
 pub(super) type Pointer = *mut c_void;
 
+/// `SHUTDOWN_CAUSE_GUEST_RESET`.
+pub(super) const GUEST_RESET: c_int = 7;
+
 /// `QEMU_CLOCK_VIRTUAL`: stands still while the machine does.
 pub(super) const CLOCK_VIRTUAL: c_int = 1;
 /// Timers that count nanoseconds.
@@ -177,6 +180,10 @@ functions! {
     );
     /// Sets a timer to a time, in nanoseconds.
     fn timer_mod_ns(timer: Pointer, time: i64);
+    /// Stops a timer.
+    fn timer_del(timer: Pointer);
+    /// Has the machine reset, for a reason of QEMU's list.
+    fn qemu_system_reset_request(reason: c_int);
     /// The time of a clock, in nanoseconds.
     fn qemu_clock_get_ns(clock: c_int) -> i64;
 

@@ -16,6 +16,20 @@ const FRAME_PAUSE: Duration = Duration::from_millis(10);
 /// Sources whose transfers are joined at once: the device that was asked, and one that is late.
 const CONTEXTS: usize = 2;
 
+/// Time that the controller stays off the bus the first time, and at most; each time in a row takes twice as long.
+const SHORTEST: Duration = Duration::from_millis(10);
+const LONGEST: Duration = Duration::from_millis(1000);
+
+/// When the controller returns after it went bus-off.
+#[derive(Debug)]
+struct BackOff {
+    /// How long the next time will take.
+    next: Duration,
+    /// When the controller is to be restarted.
+    restart: Option<Instant>,
+    is_off: bool,
+}
+
 /// Frames of a transfer under way to the controller, or its reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
@@ -63,6 +77,7 @@ pub(super) struct CanBus {
     outstanding: u8,
     /// Read replies with function code 0x10, as the manual prints them (4.3.2.10).
     quirks: u32,
+    back_off: BackOff,
 }
 
 impl CanBus {
@@ -75,7 +90,27 @@ impl CanBus {
             node,
             outstanding: 0,
             quirks: 0,
+            back_off: BackOff { next: SHORTEST, restart: None, is_off: false },
         }
+    }
+
+    pub(super) const fn is_off(&self) -> bool {
+        self.back_off.is_off
+    }
+
+    /// Whether the controller is off the bus now.
+    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, around: &mut Surroundings<'_>) {
+        if is_off && !self.back_off.is_off {
+            count(&mut around.counters.bus_off);
+            self.back_off.restart = Some(now.after(self.back_off.next));
+            self.back_off.next = self.back_off.next.times(2).min(LONGEST);
+        }
+        self.back_off.is_off = is_off;
+    }
+
+    /// Whether the controller is to be restarted now, once a time that it went off.
+    pub(super) fn take_restart(&mut self, now: Instant) -> bool {
+        self.back_off.restart.take_if(|restart| now >= *restart).is_some()
     }
 
     pub(super) const fn quirks(&self) -> u32 {
@@ -113,6 +148,7 @@ impl CanBus {
     /// A frame was acknowledged.
     pub(super) fn frame_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         count(&mut around.counters.sent);
+        self.back_off.next = SHORTEST;
         self.outstanding = self.outstanding.saturating_sub(1);
         self.check_sent(now, around);
     }
@@ -224,7 +260,10 @@ impl CanBus {
             Phase::Waiting { deadline, .. } => Some(deadline),
             Phase::Aborting => None,
         });
-        [flight, self.queue.deadline(), self.owed.deadline()].into_iter().flatten().min()
+        [flight, self.queue.deadline(), self.owed.deadline(), self.back_off.restart]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.

@@ -4,34 +4,33 @@
 mod can;
 pub mod config;
 mod counters;
+mod door;
 mod host;
 mod own;
 mod polling;
 mod quarantine;
 mod serial;
+mod settings;
 mod transaction;
 
 use can::CanBus;
-use config::{Bus, Limits, Network, Port, PortConfig, Protocol, ROUTES, Route};
+use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
 use counters::count;
-use heapless::Vec;
-use host::{FRAME_MAX, HostDeframer, HostFormat, Output};
+use host::{HostDeframer, Output};
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::deframe::{Event, Fault, FrameLength};
-use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
-use jointbus_protocol::ndam9010::{self, ChannelError, Layout, RamModule};
+use jointbus_protocol::ndam9010::{ChannelError, Layout, RamModule};
+use jointbus_protocol::nxi6201;
 use jointbus_protocol::time::{Duration, Instant};
-use jointbus_protocol::wire::Writer;
-use jointbus_protocol::{checksum, nst, nxi6201};
-use own::Diagnostics;
+use own::{Diagnostics, Saving};
 use polling::Polling;
-use quarantine::{Admission, Quarantine};
+use quarantine::Quarantine;
 use serial::SerialBus;
-use transaction::{Expected, HostSide, QueueFull, ReplyTime, Request, Surroundings};
+use transaction::{HostSide, ReplyTime, Surroundings};
 
 pub use counters::Counters;
 pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
 pub use polling::{SLOTS, Slot, SlotState};
+pub use settings::{STORED_LENGTH, Settings, SlotSettings};
 
 /// Channels of the board as an NDAM module.
 pub const LOCAL_IO: Layout =
@@ -48,6 +47,7 @@ pub struct Engine {
     confirm_until: Option<Instant>,
     limits: Limits,
     command: Option<Command>,
+    saving: Option<Saving>,
     /// Ports whose settings changed and whose owner has not been told.
     changed_ports: [bool; 4],
     host: HostDeframer,
@@ -81,6 +81,7 @@ impl Engine {
             confirm_until: None,
             limits,
             command: None,
+            saving: None,
             changed_ports: [false; 4],
             host: HostDeframer::new(limits.burst_silence()),
             output: Output::new(),
@@ -184,18 +185,21 @@ impl Engine {
         }
     }
 
-    /// Whether the CAN controller is bus-off now.
-    pub const fn set_bus_off(&mut self, bus_off: bool) {
-        if bus_off && !self.health.bus_off {
-            let [.., can] = &mut self.counters;
-            count(&mut can.bus_off);
-        }
-        self.health.bus_off = bus_off;
+    /// Whether the CAN controller is bus-off now. It returns only when it is restarted: see [`Engine::take_can_restart`].
+    pub fn set_bus_off(&mut self, bus_off: bool, now: Instant) {
+        let (can, mut around) = self.can_parts();
+        can.set_off(bus_off, now, &mut around);
     }
 
-    /// What the board found out about itself at start-up; whether it is bus-off is told by [`Engine::set_bus_off`].
+    /// Whether the CAN controller is to be restarted after it went bus-off, once a time: after 10 ms, twice as long
+    /// each time in a row, at most 1 s.
+    pub fn take_can_restart(&mut self, now: Instant) -> bool {
+        self.can.take_restart(now)
+    }
+
+    /// What the board found out about itself; that it is bus-off is told by [`Engine::set_bus_off`].
     pub const fn set_health(&mut self, health: Health) {
-        self.health = Health { bus_off: self.health.bus_off, ..health };
+        self.health = health;
     }
 
     /// What is not well.
@@ -263,10 +267,7 @@ impl Engine {
         self.roll_back(now);
         self.host_silence(now);
         self.polling.tick(now);
-        let event = self.host.poll(&HostFormat(&self.live), now).map(apart);
-        if let Some(event) = event {
-            self.take(event, now);
-        }
+        self.end_host_burst(now);
         for port in [Port::Rs485A, Port::Rs485B] {
             self.on_serial(port, |bus, around| bus.poll(now, around));
         }
@@ -294,226 +295,6 @@ impl Engine {
         .into_iter()
         .flatten()
         .min()
-    }
-
-    fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
-        while let Some(event) = self.host.feed(&HostFormat(&self.live), &mut bytes, now).map(apart) {
-            self.take(event, now);
-        }
-    }
-
-    fn take(&mut self, event: Result<Vec<u8, FRAME_MAX>, (u8, Fault)>, now: Instant) {
-        let [counters, ..] = &mut self.counters;
-        match event {
-            Ok(frame) => {
-                count(&mut counters.received);
-                self.last_request = Some(now);
-                self.request(&frame, now);
-            }
-            Err((unit, fault)) => {
-                let known =
-                    matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.live.route(unit).is_some();
-                match (known, fault) {
-                    (false, _) => count(&mut counters.refused),
-                    (true, Fault::Checksum) => {
-                        count(&mut counters.checksum_errors);
-                        count(&mut counters.dropped_bursts);
-                    }
-                    (true, Fault::Impossible | Fault::Incomplete) => count(&mut counters.dropped_bursts),
-                }
-            }
-        }
-    }
-
-    /// A valid frame from the host.
-    fn request(&mut self, frame: &[u8], now: Instant) {
-        let Some((&unit, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else { return };
-        match unit {
-            modbus::BROADCAST => {
-                self.broadcast_modbus(frame, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
-            }
-            nst::BROADCAST => {
-                let whole = FrameLength::Exactly(frame.len());
-                if nst::serial::request_length(frame) == whole {
-                    self.broadcast_nst(frame, body, now);
-                }
-                if rtu::request_length(frame) == whole {
-                    self.broadcast_modbus(frame, body, &[Bus::LocalOutputs], now);
-                }
-            }
-            _ => match self.live.route(unit) {
-                Some((number, route)) if route.protocol.is_nst() => {
-                    self.request_nst(unit, number, *route, frame, body, now);
-                }
-                Some((number, route)) => self.request_modbus(unit, number, *route, frame, body, now),
-                None => {}
-            },
-        }
-    }
-
-    fn request_nst(&mut self, unit: u8, number: u8, route: Route, frame: &[u8], body: &[u8], now: Instant) {
-        let Ok(asked) = nst::Request::decode(body) else { return };
-        let is_write = !matches!(asked.function(), nst::FunctionCode::Connect) && !asked.function().is_read();
-        if route.refuse_writes && is_write {
-            return self.refuse(unit, None);
-        }
-        let remote = route.remote_of(unit);
-        let expected = Expected::Nst(nst::serial::ExpectedReply::new(remote, &asked));
-        let mut buffer = [0; FRAME_MAX];
-        let content = match route.bus {
-            Bus::Can => body,
-            _ => readdress(frame, remote, &mut buffer),
-        };
-        let function = asked.function().code();
-        let request = Request::new(unit, function, Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request {
-            self.admit(&route, request, now);
-        }
-    }
-
-    /// Hands a request to its bus, unless its unit is in quarantine or the queue is full.
-    fn admit(&mut self, route: &Route, mut request: Request, now: Instant) {
-        let (unit, function) = (request.unit, request.function);
-        let waits = match route.bus {
-            Bus::Rs485A => self.rs485_a.holds(&request, now),
-            Bus::Rs485B => self.rs485_b.holds(&request, now),
-            _ => self.can.holds(&request, now),
-        };
-        let refusal = match self.quarantine.admit(unit, waits, &self.limits, now) {
-            Admission::Refused => Some(ExceptionCode::GatewayTargetDeviceFailedToRespond),
-            admission => {
-                if admission == Admission::Probe {
-                    request.retries = 0;
-                }
-                self.send(route.bus, request, now).err().map(|QueueFull| ExceptionCode::ServerDeviceBusy)
-            }
-        };
-        if let Some(exception) = refusal {
-            self.refuse(unit, (!route.protocol.is_nst()).then_some((function, exception)));
-        }
-    }
-
-    fn request_modbus(
-        &mut self,
-        unit: u8,
-        number: u8,
-        route: Route,
-        frame: &[u8],
-        body: &[u8],
-        now: Instant,
-    ) {
-        let asked = match modbus::Request::decode(body) {
-            Ok(asked) => asked,
-            Err(error) => {
-                let [counters, ..] = &mut self.counters;
-                return self.output.respond(counters, unit, &modbus::server::malformed(error));
-            }
-        };
-        let function = asked.function();
-        if route.refuse_writes && !asked.is_read() {
-            return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
-        }
-        if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
-            return self.serve_local(unit, route.bus, &asked, body, now);
-        }
-        let remote = route.remote_of(unit);
-        let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
-        let mut buffer = [0; FRAME_MAX];
-        let content = readdress(frame, remote, &mut buffer);
-        let request =
-            Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request {
-            self.admit(&route, request, now);
-        }
-    }
-
-    /// Answers for one of the board's own units.
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
-        if !self.output.has_room() {
-            return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
-        }
-        let mut data = [0; modbus::PDU_MAX];
-        let response = match bus {
-            Bus::LocalOutputs => self.outputs.dispatch(asked, &mut data),
-            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut data),
-            _ => return self.serve_own(unit, pdu, now),
-        };
-        let [counters, ..] = &mut self.counters;
-        self.output.respond(counters, unit, &response);
-    }
-
-    /// A broadcast of Modbus: writes only, never answered.
-    fn broadcast_modbus(&mut self, frame: &[u8], body: &[u8], to: &[Bus], now: Instant) {
-        let Ok(asked) = modbus::Request::decode(body) else { return };
-        if asked.is_read() {
-            return self.refuse(modbus::BROADCAST, None);
-        }
-        let routes = self.live.routes;
-        for bus in to {
-            let row = routes
-                .iter()
-                .find(|row| row.is_used() && row.bus == *bus && row.protocol == Protocol::ModbusRtu);
-            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
-            let mut data = [0; modbus::PDU_MAX];
-            match bus {
-                Bus::LocalIo => {
-                    ndam9010::dispatch(&mut self.io, &asked, &mut data);
-                }
-                Bus::LocalOutputs => {
-                    self.outputs.dispatch(&asked, &mut data);
-                }
-                _ => self.send_broadcast(*bus, asked.function().code(), row, frame, now),
-            }
-        }
-    }
-
-    /// A broadcast of NST: writes and commands only, never answered.
-    fn broadcast_nst(&mut self, frame: &[u8], body: &[u8], now: Instant) {
-        let Ok(asked) = nst::Request::decode(body) else { return };
-        if asked.function().is_read() {
-            return self.refuse(nst::BROADCAST, None);
-        }
-        let routes = self.live.routes;
-        for bus in [Bus::Rs485A, Bus::Rs485B, Bus::Can] {
-            let row = routes.iter().find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst());
-            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
-            let content = if bus == Bus::Can { body } else { frame };
-            self.send_broadcast(bus, asked.function().code(), row, content, now);
-        }
-    }
-
-    fn send_broadcast(&mut self, bus: Bus, function: u8, row: &Route, content: &[u8], now: Instant) {
-        let request = Request::new(nst::BROADCAST, function, None, (None, row), content, now);
-        if let Some(request) = request
-            && self.send(bus, request, now).is_err()
-        {
-            self.refuse(nst::BROADCAST, None);
-        }
-    }
-
-    /// Hands a request to its bus; the board's own units have no queue.
-    fn send(&mut self, bus: Bus, request: Request, now: Instant) -> Result<(), QueueFull> {
-        match bus {
-            Bus::Rs485A | Bus::Rs485B => {
-                let port = if bus == Bus::Rs485A { Port::Rs485A } else { Port::Rs485B };
-                let Some((bus, mut around)) = self.serial_parts(port) else { return Err(QueueFull) };
-                bus.push(request, now, &mut around)
-            }
-            Bus::Can => {
-                let (can, mut around) = self.can_parts();
-                can.push(request, now, &mut around)
-            }
-            Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Err(QueueFull),
-        }
-    }
-
-    /// Counts a refusal and tells the host: with a Modbus exception, or with silence.
-    fn refuse(&mut self, unit: u8, exception: Option<(u8, ExceptionCode)>) {
-        let [counters, ..] = &mut self.counters;
-        count(&mut counters.refused);
-        if let Some((function, exception)) = exception {
-            self.output.refuse(counters, unit, function, exception);
-        }
     }
 
     /// Makes ports and routes live, dropping what waits or is in flight where something changed.
@@ -601,23 +382,4 @@ impl Engine {
         };
         (&mut self.can, around)
     }
-}
-
-/// What came out of the host's bytes, apart from the deframer: a frame, or the unit and the fault of a burst.
-fn apart(event: Event<'_>) -> Result<Vec<u8, FRAME_MAX>, (u8, Fault)> {
-    match event {
-        // the deframer's frames are never longer
-        Event::Frame(frame) => Ok(Vec::from_slice(frame).unwrap_or_default()),
-        Event::Dropped { fault, burst } => Err((burst.first().copied().unwrap_or(0), fault)),
-    }
-}
-
-/// The same frame for another address.
-fn readdress<'b>(frame: &[u8], address: u8, buffer: &'b mut [u8; FRAME_MAX]) -> &'b [u8] {
-    let content = checksum::verify(frame).and_then(|content| content.get(1..)).unwrap_or(&[]);
-    let mut writer = Writer::new(buffer);
-    // it had room before
-    let _ =
-        writer.u8(address).and_then(|()| writer.slice(content)).and_then(|()| checksum::seal(&mut writer));
-    writer.finish()
 }

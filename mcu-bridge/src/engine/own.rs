@@ -1,12 +1,13 @@
 //! Unit 247: the bridge's own registers. Values wider than a register come high word first.
 
 use super::Engine;
-use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
+use super::config::{Limits, Network};
 use super::counters::Counters;
-use super::polling::{Polling, SLOTS, Slot};
+use super::polling::{Polling, Slot};
+use super::settings::{STORED_LENGTH, Settings, SlotSettings};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
-use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
+use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Response};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -51,8 +52,6 @@ pub struct Health {
     pub internal_oscillator: bool,
     /// The CAN controller does not answer.
     pub no_can: bool,
-    /// The CAN controller is bus-off.
-    pub bus_off: bool,
     /// The stored configuration could not be read.
     pub defaulted: bool,
 }
@@ -73,6 +72,15 @@ pub enum Command {
     Reboot,
 }
 
+/// A save that the host waits for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Saving {
+    /// Unit under which it was asked for.
+    unit: u8,
+    /// What is to be stored has been handed out.
+    taken: bool,
+}
+
 /// Commands at holding register 0.
 mod command {
     pub(super) const APPLY: u16 = 0xA991;
@@ -85,15 +93,6 @@ mod command {
 
 /// Last input register.
 const INPUT_LAST: u16 = 0x02FF;
-
-/// What the host may write, while a write is being judged.
-#[derive(Debug, Clone, Copy)]
-struct Settings {
-    staged: Network,
-    limits: Limits,
-    /// Unit and period of each polling slot.
-    slots: [(u8, u16); SLOTS],
-}
 
 /// What function code 08 counts beside the host port's counters.
 #[derive(Debug, Clone, Copy, Default)]
@@ -129,7 +128,8 @@ impl Server for Own<'_> {
         range: Range,
         mut out: RegistersMut<'_>,
     ) -> Result<(), ExceptionCode> {
-        out.fill(range.addresses().map(|address| self.engine.holding(address)));
+        let settings = self.engine.settings();
+        out.fill(range.addresses().map(|address| settings.read(address)));
         Ok(())
     }
 
@@ -193,12 +193,17 @@ impl Engine {
     /// Answers a request to the bridge itself.
     pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
         self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
+        let was_saving = self.saving.is_some();
         let mut response = [0; PDU_MAX];
         let Ok(response) = server::respond(&mut Own { engine: self, now }, pdu, &mut response) else {
             return;
         };
         if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {
             self.diagnostics.exceptions = self.diagnostics.exceptions.wrapping_add(1);
+        }
+        if let Some(saving) = self.saving.as_mut().filter(|_| !was_saving) {
+            saving.unit = unit;
+            return;
         }
         let [counters, ..] = &mut self.counters;
         self.output.relay(counters, unit, response);
@@ -227,8 +232,8 @@ impl Engine {
     }
 
     fn health_bits(&self) -> u16 {
-        let Health { internal_oscillator, no_can, bus_off, defaulted } = self.health;
-        let bits = [internal_oscillator, no_can, bus_off, defaulted, self.confirm_until.is_some()];
+        let Health { internal_oscillator, no_can, defaulted } = self.health;
+        let bits = [internal_oscillator, no_can, self.can.is_off(), defaulted, self.confirm_until.is_some()];
         bits.iter().rev().fold(0, |word, bit| word << 1 | u16::from(*bit))
     }
 
@@ -272,11 +277,8 @@ impl Engine {
     }
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
-        let slots = core::array::from_fn(|index| {
-            let slot = self.polling.slot(index).copied().unwrap_or_default();
-            (slot.unit, slot.period_100us)
-        });
-        let mut settings = Settings { staged: self.staged, limits: self.limits, slots };
+        let former = self.settings();
+        let mut settings = former;
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
@@ -287,17 +289,66 @@ impl Engine {
         if let Some(command) = command {
             return self.command(command, now);
         }
-        self.staged = settings.staged;
-        self.limits = settings.limits;
-        for (index, ((unit, period), (former_unit, former_period))) in
-            settings.slots.into_iter().zip(slots).enumerate()
-        {
-            if (unit, period) != (former_unit, former_period) {
-                self.polling.set(index, Slot::new(unit, period, now));
+        self.staged = settings.network;
+        self.set_limits(settings.limits);
+        self.set_slots(&former.slots, &settings.slots, now);
+        Ok(())
+    }
+
+    /// The registers as the host sees them: the network staged.
+    fn settings(&self) -> Settings {
+        let slots = core::array::from_fn(|index| {
+            let slot = self.polling.slot(index).copied().unwrap_or_default();
+            (slot.unit, slot.period_100us)
+        });
+        Settings { network: self.staged, limits: self.limits, slots }
+    }
+
+    fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+        self.host.set_silence(limits.burst_silence());
+    }
+
+    /// Starts the slots that change anew.
+    fn set_slots(&mut self, former: &SlotSettings, new: &SlotSettings, now: Instant) {
+        for (index, (former, (unit, period))) in former.iter().zip(new).enumerate() {
+            if *former != (*unit, *period) {
+                self.polling.set(index, Slot::new(*unit, *period, now));
             }
         }
-        self.host.set_silence(self.limits.burst_silence());
-        Ok(())
+    }
+
+    /// Starts with settings that were stored; to be called before anything else.
+    pub fn restore(&mut self, settings: &Settings, now: Instant) {
+        self.staged = settings.network;
+        self.confirmed = settings.network;
+        self.set_limits(settings.limits);
+        self.set_slots(&SlotSettings::default(), &settings.slots, now);
+        self.go_live(settings.network, now);
+    }
+
+    /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
+    pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
+        match self.saving {
+            Some(Saving { taken: false, unit }) => {
+                self.saving = Some(Saving { taken: true, unit });
+                Some(Settings { network: self.confirmed, ..self.settings() }.encode())
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether what was to be stored is stored: the host gets its answer.
+    pub fn saved(&mut self, stored: bool) {
+        let Some(Saving { unit, .. }) = self.saving.take() else { return };
+        let function = FunctionCode::WriteSingleRegister;
+        let response = if stored {
+            Response::WriteSingle { function, address: 0, value: command::SAVE }
+        } else {
+            Response::exception(function, ExceptionCode::ServerDeviceFailure)
+        };
+        let [counters, ..] = &mut self.counters;
+        self.output.respond(counters, unit, &response);
     }
 
     /// Only a write of register 0 alone gets here: there are no others beside it.
@@ -314,13 +365,13 @@ impl Engine {
                 self.confirm_until = None;
                 self.confirmed = self.live;
             }
-            // no board offers a store yet
-            command::SAVE => return Err(ExceptionCode::ServerDeviceFailure),
+            // answered when it is done
+            command::SAVE if self.saving.is_some() => return Err(ExceptionCode::ServerDeviceBusy),
+            command::SAVE => self.saving = Some(Saving { unit: 0, taken: false }),
             command::DEFAULTS => {
                 self.staged = Network::default();
-                self.limits = Limits::default();
+                self.set_limits(Limits::default());
                 self.polling = Polling::default();
-                self.host.set_silence(self.limits.burst_silence());
             }
             command::REBOOT => self.command = Some(Command::Reboot),
             command::CLEAR_COUNTERS => self.clear_counters(),
@@ -343,188 +394,4 @@ impl Engine {
 const fn word(value: u64, words: u16, index: u16) -> u16 {
     let place = words.wrapping_sub(1).wrapping_sub(index) as u32;
     value.wrapping_shr(place.wrapping_mul(16)) as u16
-}
-
-impl Engine {
-    /// A holding register; what is not listed reads 0.
-    fn holding(&self, address: u16) -> u16 {
-        let (staged, limits) = (&self.staged, &self.limits);
-        match address {
-            0x0010..=0x002F => {
-                let offset = address.wrapping_sub(0x0010);
-                staged.ports.get(usize::from(offset / 8)).map_or(0, |port| port.register(offset % 8))
-            }
-            0x0040 => limits.quarantine_after.into(),
-            0x0041 => limits.probe_period_ms,
-            0x0042 => limits.host_silence_ms,
-            0x0043 => limits.burst_silence_100us,
-            0x0050..=0x005F => {
-                let offset = address.wrapping_sub(0x0050);
-                let slot = self.polling.slot(usize::from(offset / 2));
-                slot.map_or(
-                    0,
-                    |slot| if offset.is_multiple_of(2) { slot.unit.into() } else { slot.period_100us },
-                )
-            }
-            0x0100..=0x01FF => {
-                let offset = address.wrapping_sub(0x0100);
-                staged.routes.get(usize::from(offset / 0x10)).map_or(0, |row| row.register(offset % 0x10))
-            }
-            _ => 0,
-        }
-    }
-}
-
-impl Settings {
-    fn write(&mut self, address: u16, value: u16) -> Result<(), ExceptionCode> {
-        const PORTS: u16 = Port::ALL.len() as u16;
-        const ROWS: u16 = ROUTES as u16;
-        const _: () = assert!(0x0010 + 8 * PORTS == 0x0030 && 0x0100 + 0x10 * ROWS == 0x0200);
-        let unlisted = ExceptionCode::IllegalDataAddress;
-        match address {
-            0x0010..=0x002F => {
-                let offset = address.wrapping_sub(0x0010);
-                let port = self.staged.ports.get_mut(usize::from(offset / 8)).ok_or(unlisted)?;
-                port.set_register(offset % 8, value)
-            }
-            0x0040 => {
-                self.limits.quarantine_after = byte(value)?;
-                Ok(())
-            }
-            0x0041 => {
-                self.limits.probe_period_ms = at_least_1(value)?;
-                Ok(())
-            }
-            0x0042 => {
-                self.limits.host_silence_ms = value;
-                Ok(())
-            }
-            0x0043 => {
-                self.limits.burst_silence_100us = at_least_1(value)?;
-                Ok(())
-            }
-            0x0050..=0x005F => {
-                let offset = address.wrapping_sub(0x0050);
-                let (unit, period) = self.slots.get_mut(usize::from(offset / 2)).ok_or(unlisted)?;
-                match offset % 2 {
-                    0 => *unit = byte(value)?,
-                    _ => *period = value,
-                }
-                Ok(())
-            }
-            0x0100..=0x01FF => {
-                let offset = address.wrapping_sub(0x0100);
-                let row = self.staged.routes.get_mut(usize::from(offset / 0x10)).ok_or(unlisted)?;
-                row.set_register(offset % 0x10, value)
-            }
-            _ => Err(unlisted),
-        }
-    }
-}
-
-fn byte(value: u16) -> Result<u8, ExceptionCode> {
-    u8::try_from(value).map_err(|_| ExceptionCode::IllegalDataValue)
-}
-
-fn at_least_1(value: u16) -> Result<u16, ExceptionCode> {
-    if value > 0 { Ok(value) } else { Err(ExceptionCode::IllegalDataValue) }
-}
-
-fn flag(value: u16) -> Result<bool, ExceptionCode> {
-    match value {
-        0 => Ok(false),
-        1 => Ok(true),
-        _ => Err(ExceptionCode::IllegalDataValue),
-    }
-}
-
-/// Registers 0x0010 + 8 p.
-impl PortConfig {
-    fn register(&self, offset: u16) -> u16 {
-        match offset {
-            0 => self.rate,
-            1 => {
-                let parity = match self.parity {
-                    Parity::None => 0,
-                    Parity::Even => 1,
-                    Parity::Odd => 2,
-                };
-                u16::from_be_bytes([self.stop_bits, parity])
-            }
-            2 => self.gap_100us,
-            3 => self.node.into(),
-            4 => self.echo.into(),
-            _ => 0,
-        }
-    }
-
-    fn set_register(&mut self, offset: u16, value: u16) -> Result<(), ExceptionCode> {
-        match offset {
-            0 => self.rate = at_least_1(value)?,
-            1 => {
-                let [stop_bits, parity] = value.to_be_bytes();
-                let parity = match parity {
-                    0 => Parity::None,
-                    1 => Parity::Even,
-                    2 => Parity::Odd,
-                    _ => return Err(ExceptionCode::IllegalDataValue),
-                };
-                if !(1..=2).contains(&stop_bits) {
-                    return Err(ExceptionCode::IllegalDataValue);
-                }
-                self.stop_bits = stop_bits;
-                self.parity = parity;
-            }
-            2 => self.gap_100us = value,
-            3 => self.node = byte(value)?,
-            4 => self.echo = flag(value)?,
-            _ => return Err(ExceptionCode::IllegalDataAddress),
-        }
-        Ok(())
-    }
-}
-
-/// Registers 0x0100 + 0x10 r.
-impl Route {
-    fn register(&self, offset: u16) -> u16 {
-        if !self.is_used() && matches!(offset, 2..=4) {
-            return 0;
-        }
-        match offset {
-            0 => self.first_unit.into(),
-            1 => self.last_unit.into(),
-            2 => self.bus.value(),
-            3 => self.protocol.value(),
-            4 => self.first_remote.into(),
-            5 => self.read_timeout_ms,
-            6 => self.write_timeout_ms,
-            7 => self.read_retries.into(),
-            8 => self.time_to_live_ms,
-            9 => self.hold_off_ms,
-            10 => self.refuse_writes.into(),
-            _ => 0,
-        }
-    }
-
-    fn set_register(&mut self, offset: u16, value: u16) -> Result<(), ExceptionCode> {
-        let refused = ExceptionCode::IllegalDataValue;
-        match offset {
-            0 => self.first_unit = byte(value)?,
-            1 => self.last_unit = byte(value)?,
-            2 => self.bus = Bus::from_value(value).ok_or(refused)?,
-            3 => self.protocol = Protocol::from_value(value).ok_or(refused)?,
-            4 => self.first_remote = byte(value)?,
-            5 => self.read_timeout_ms = at_least_1(value)?,
-            6 => self.write_timeout_ms = at_least_1(value)?,
-            7 => {
-                self.read_retries =
-                    byte(value).and_then(|count| if count < 10 { Ok(count) } else { Err(refused) })?
-            }
-            8 => self.time_to_live_ms = at_least_1(value)?,
-            9 => self.hold_off_ms = value,
-            10 => self.refuse_writes = flag(value)?,
-            _ => return Err(ExceptionCode::IllegalDataAddress),
-        }
-        Ok(())
-    }
 }

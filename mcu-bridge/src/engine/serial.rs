@@ -291,10 +291,14 @@ impl SerialBus {
         let Some(Flight { request, phase: Phase::Waiting { sent, .. }, .. }) = &self.flight else { return };
         let Some(expected) = &request.expected else { return };
         let found = self.search.at_silence(|frame| expected.accepts(frame));
-        if let Some(content) = found.and_then(content) {
-            count(&mut around.counters.received);
-            around.answer(request, content, *sent, self.busy);
-            self.finish(around);
+        match found.and_then(content) {
+            Some(content) => {
+                count(&mut around.counters.received);
+                around.answer(request, content, *sent, self.busy);
+                self.finish(around);
+            }
+            // silence has ended whatever it was; kept, it would be due again at once and until the timeout
+            None => self.discard(around),
         }
     }
 

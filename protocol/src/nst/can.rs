@@ -8,6 +8,7 @@ use crate::can::{Frame, Id};
 use crate::codes::code_table;
 use crate::error::error_text;
 use crate::time::{Duration, Instant};
+use crate::wire;
 
 /// Most bytes of one transfer (4.2.1.2).
 pub const TRANSFER_MAX: usize = 128;
@@ -227,7 +228,7 @@ impl Context {
     fn append(&mut self, data: &[u8]) -> bool {
         let end = self.length.saturating_add(data.len());
         let Some(place) = self.body.get_mut(self.length..end) else { return false };
-        place.copy_from_slice(data);
+        wire::copy(data, place);
         self.length = end;
         true
     }

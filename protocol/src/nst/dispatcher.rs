@@ -168,7 +168,8 @@ impl<H: Hardware> Daq<H> {
     pub fn serve_serial<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
         let frame = serial::Frame::decode(frame).ok_or(Silence::Checksum)?;
         let mut data = [0; REPLY_DATA_MAX];
-        let reply = self.serve(frame.address, frame.body, &mut data)?;
+        let room = out.len().saturating_sub(serial::OVERHEAD);
+        let reply = self.serve_within(room, frame.address, frame.body, &mut data)?;
         serial::encode_reply(frame.address, &reply, out).map_err(|NoSpace| Silence::NoSpace)
     }
 
@@ -179,7 +180,7 @@ impl<H: Hardware> Daq<H> {
     pub fn serve_stream<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
         let (address, body) = stream::split(frame).ok_or(Silence::Malformed(BodyError::Length))?;
         let mut data = [0; REPLY_DATA_MAX];
-        let reply = self.serve(address, body, &mut data)?;
+        let reply = self.serve_within(out.len().saturating_sub(1), address, body, &mut data)?;
         stream::encode_reply(address, &reply, out).map_err(|NoSpace| Silence::NoSpace)
     }
 
@@ -210,12 +211,26 @@ impl<H: Hardware> Daq<H> {
     /// # Errors
     /// [`Silence`]: why there is no answer.
     pub fn serve<'b>(&mut self, address: u8, body: &[u8], data: &'b mut [u8]) -> Result<Reply<'b>, Silence> {
+        self.serve_within(usize::MAX, address, body, data)
+    }
+
+    /// [`Daq::serve`] for a reply whose body has no more room than this: who can't be answered is not served.
+    fn serve_within<'b>(
+        &mut self,
+        room: usize,
+        address: u8,
+        body: &[u8],
+        data: &'b mut [u8],
+    ) -> Result<Reply<'b>, Silence> {
         if address != self.active.address && address != BROADCAST {
             return Err(Silence::OtherAddress);
         }
         let request = Request::decode(body).map_err(Silence::Malformed)?;
         if address == BROADCAST && request.function().is_read() {
             return Err(Silence::BroadcastRead);
+        }
+        if address != BROADCAST && serial::ExpectedReply::new(address, &request).body_length() > room {
+            return Err(Silence::NoSpace);
         }
         let result = self.dispatch(&request, data);
         if address == BROADCAST {
@@ -485,6 +500,18 @@ mod tests {
         assert_eq!(daq.serve(2, &write, &mut data), Err(Silence::OtherAddress));
         daq.restart();
         assert_eq!(daq.address(), 9);
+    }
+
+    #[test]
+    fn who_cannot_be_answered_is_not_served() {
+        let (mut daq, mut frame, mut out) = (daq(), [0; 16], [0; 16]);
+        let before = daq.hardware().settings;
+        let request = Request::Write { register: register::IP_ADDRESS.first, data: &[10, 0, 0, 1] };
+        let frame = serial::encode_request(1, &request, &mut frame).unwrap();
+        assert_eq!(daq.serve_serial(frame, &mut out[..4]), Err(Silence::NoSpace));
+        assert_eq!(daq.serve_stream(&frame[..frame.len() - 2], &mut out[..2]), Err(Silence::NoSpace));
+        assert_eq!(daq.hardware().settings, before);
+        assert_eq!(daq.serve_serial(frame, &mut out[..5]).map(<[u8]>::len), Ok(5));
     }
 
     #[test]

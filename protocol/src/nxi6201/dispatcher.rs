@@ -322,7 +322,7 @@ mod tests {
             .flat_map(|channel| (0..6).map(move |register| 2 + 20 * channel + 2 * register))
             .chain([80, 82, 84, 86, 422, 424, 428])
             .collect();
-        for address in 0..=u16::MAX {
+        for address in (0..=u16::MAX).step_by(crate::stride(211)) {
             let expected = if mapped.contains(&address) { Ok(4) } else { Err(ADDRESS) };
             assert_eq!(read(&mut card(), address, 2).map(|data| data.len()), expected, "{address}");
         }

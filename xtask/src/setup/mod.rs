@@ -3,6 +3,7 @@
 
 mod apt;
 mod components;
+pub(crate) mod nightly;
 mod python;
 mod target;
 mod tools;
@@ -20,6 +21,8 @@ pub(crate) fn all(workspace: &Workspace) -> Result<()> {
     toolchain(workspace)?;
     emulator()?;
     clients(workspace)?;
+    nightly::fuzzer(workspace)?;
+    nightly::miri(workspace)?;
     Ok(())
 }
 

@@ -31,6 +31,9 @@ pub(crate) const MBPOLL: Tool =
 pub(crate) const SOCAT: Tool =
     Tool { program: "socat", package: "socat", elsewhere: "socat, the relay between sockets and terminals" };
 
+/// Compiles the fuzzer's runtime.
+pub(crate) const CXX: Tool = Tool { program: "c++", package: "g++", elsewhere: "a C++ compiler called c++" };
+
 /// Installs those of the programs that are missing.
 pub(crate) fn ensure(tools: &[Tool]) -> Result<()> {
     let missing = missing(tools);

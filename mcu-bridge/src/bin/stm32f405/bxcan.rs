@@ -45,8 +45,8 @@ pub fn start(can: &RegisterBlock, bus_hz: u32, kbit_per_s: u16, node: u8) -> Res
     // SAFETY: a value that `bit_timing` made for this register
     can.btr().write(|w| unsafe { w.bits(timing) });
     can.mcr().modify(|_, w| {
-        // recover from bus-off by itself; transmit in the order of the requests; never stop retrying by itself
-        w.abom().set_bit().txfp().set_bit().nart().clear_bit().rflm().clear_bit()
+        // stay bus-off until it is restarted; transmit in the order of the requests; never stop retrying by itself
+        w.abom().clear_bit().txfp().set_bit().nart().clear_bit().rflm().clear_bit()
     });
     set_filter(can, node);
     can.ier().write(|w| {
@@ -207,6 +207,14 @@ pub fn error(can: &RegisterBlock) -> Option<BusError> {
         1 | 2 | 6 => Some(BusError::Receive),
         _ => None,
     }
+}
+
+/// Restarts the controller after it went bus-off: it returns once the bus was idle for 128 times eleven bits.
+pub fn restart(can: &RegisterBlock) -> Result<(), NoController> {
+    can.mcr().modify(|_, w| w.inrq().set_bit());
+    let result = wait(|| can.msr().read().inak().bit_is_set());
+    can.mcr().modify(|_, w| w.inrq().clear_bit());
+    result
 }
 
 /// Whether the controller is bus-off.

@@ -24,3 +24,21 @@ pub const OUTPUT_STEPS: u32 = 4095;
 
 /// Step of an output that is off: the middle, 0 V or 0 mA behind the output stage.
 pub const OUTPUT_OFF: u32 = OUTPUT_STEPS / 2;
+
+/// Where the settings are stored: sectors 10 and 11, which `memory.x` keeps from the program.
+pub const STORE_BASE: u32 = 0x080C_0000;
+
+/// Number of the first of them.
+pub const STORE_FIRST_SECTOR: u8 = 10;
+
+/// Size of each.
+pub const STORE_SECTOR: u32 = 128 * 1024;
+
+/// Size of both.
+pub const STORE_SIZE: u32 = 2 * STORE_SECTOR;
+
+/// Longest time that the flash may be busy, in us: erasing a sector takes up to 2 s (data sheet, 6.3.12).
+pub const FLASH_LIMIT_US: u32 = 4_000_000;
+
+/// The watchdog's period while settings are stored: divided by 64, some eight seconds.
+pub const WATCHDOG_STRETCHED_STEPS: u32 = 4095;

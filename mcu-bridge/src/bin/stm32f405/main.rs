@@ -10,6 +10,7 @@
 mod bxcan;
 mod clocks;
 mod constants;
+mod flash;
 mod outputs;
 mod reset;
 mod time;
@@ -21,17 +22,20 @@ use defmt_rtt as _;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
-    use crate::constants::CAN_INCOMING;
+    use crate::constants::{CAN_INCOMING, STORE_SIZE};
+    use crate::flash::Sectors;
     use crate::outputs::Outputs;
     use crate::time::{self, Clock};
     use crate::uart::Uart;
     use crate::watchdog::Watchdog;
     use crate::{clocks, reset};
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+    use jointbus_mcu_bridge::engine::config::Port;
     use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
     use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
     use stm32f4xx_hal::prelude::*;
@@ -69,24 +73,30 @@ mod app {
         ports: [(Port, MainSide<'static>, Interrupt); 3],
         /// `None` where the controller does not answer.
         can: Option<u32>,
+        store: Option<Store<Sectors>>,
         frames_in: Producer<'static, (Frame, u32)>,
         frames: Consumer<'static, (Frame, u32)>,
     }
 
     #[init(local = [
-        place: Option<Engine> = None,
+        place: MaybeUninit<Engine> = MaybeUninit::uninit(),
         queues: [Queues; 3] = [Queues::new(), Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let device = cx.device;
         let mut core = cx.core;
-        let watchdog = Watchdog::start(device.IWDG);
+        let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
         let (mut rcc, crystal) = clocks::start(device.RCC);
         time::start(&mut core.SYST, rcc.clocks.sysclk().raw());
         let mut clock = Clock::default();
-        let network = Network::default();
+        watchdog.stretch();
+        let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
+        let loaded = store.as_mut().map_or(Err(Unreadable), Store::load);
+        watchdog.relax();
+        let settings = loaded.ok().flatten().unwrap_or_default();
+        let network = settings.network;
 
         let gpioa = device.GPIOA.split(&mut rcc);
         let gpiob = device.GPIOB.split(&mut rcc);
@@ -132,11 +142,12 @@ mod app {
         ]
         .map(|part| part.parse().unwrap_or(0));
         let identity = Identity { version, reset_cause };
-        let engine = cx.local.place.insert(Engine::new(network, Limits::default(), identity, clock.now()));
+        let engine = cx.local.place.write(Engine::new(network, settings.limits, identity, clock.now()));
+        engine.restore(&settings, clock.now());
         engine.set_health(Health {
             internal_oscillator: !crystal,
             no_can: can.is_none(),
-            ..Health::default()
+            defaulted: loaded.is_err(),
         });
         defmt::info!("jointbus: crystal {}, can {}", crystal, can.is_some());
 
@@ -147,12 +158,12 @@ mod app {
         ];
         (
             Shared { uart1, uart2, uart3 },
-            Local { engine, clock, watchdog, outputs, ports, can, frames_in, frames },
+            Local { engine, clock, watchdog, outputs, ports, can, store, frames_in, frames },
         )
     }
 
     #[idle(
-        local = [engine, clock, watchdog, outputs, ports, can, frames, rebooting: bool = false],
+        local = [engine, clock, watchdog, outputs, ports, can, store, frames, rebooting: bool = false],
         shared = [uart1, uart2, uart3]
     )]
     fn idle(mut cx: idle::Context) -> ! {
@@ -191,6 +202,12 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
+            if let Some(settings) = local.engine.take_save() {
+                local.watchdog.stretch();
+                let stored = local.store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
+                local.watchdog.relax();
+                local.engine.saved(stored);
+            }
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
@@ -234,7 +251,10 @@ mod app {
 
     fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
         let can = can();
-        engine.set_bus_off(bxcan::is_bus_off(can));
+        engine.set_bus_off(bxcan::is_bus_off(can), now);
+        if engine.take_can_restart(now) && bxcan::restart(can).is_err() {
+            engine.set_health(Health { no_can: true, ..engine.health() });
+        }
         if engine.wants_abort() {
             bxcan::abort(can);
             if bxcan::is_empty(can) && CAN_REPORTS.sent.load(Ordering::Relaxed) == 0 {

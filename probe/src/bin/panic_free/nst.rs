@@ -1,0 +1,199 @@
+//! `nst`: bodies, registers, the forms on serial lines, streams and CAN, and the dispatcher.
+
+use jointbus_protocol::deframe::{Expectation, Format};
+use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, part, segment};
+use jointbus_protocol::nst::register::{self, SETTINGS_LENGTH};
+use jointbus_protocol::nst::{
+    AXES, Daq, FunctionCode, Hardware, RamHardware, Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding,
+    StoreError, serial, stream,
+};
+use jointbus_protocol::wire::Writer;
+
+use crate::opaque::{any, buffer, byte, bytes, can_frame, flag, long, moment, sink, size, span, word};
+
+pub(crate) fn all() {
+    requests();
+    replies();
+    samples();
+    registers();
+    serial();
+    stream();
+    identifiers();
+    segments();
+    reassembler::<0>();
+    reassembler::<4>();
+    let sign = sign();
+    daq(Daq::new(RamHardware::new(byte()), sign));
+    daq(Daq::new(Anything { settings: any([0; SETTINGS_LENGTH]) }, sign));
+}
+
+fn sign() -> SignEncoding {
+    if flag() { SignEncoding::TwosComplement } else { SignEncoding::SignMagnitude }
+}
+
+fn function() -> FunctionCode {
+    FunctionCode::from_code(byte())
+}
+
+fn request() -> Request<'static> {
+    match any(0) {
+        0 => Request::Write { register: word(), data: bytes() },
+        1 => Request::read(word(), byte()),
+        _ => Request::Command { function: function(), register: word(), length: byte() },
+    }
+}
+
+fn reply() -> Reply<'static> {
+    match flag() {
+        true => Reply::Data { function: function(), data: bytes() },
+        false => Reply::Acknowledge { function: function(), length: byte() },
+    }
+}
+
+#[inline(never)]
+fn requests() {
+    let request = request();
+    sink((request.function().code(), request.function().is_read(), request.register(), request.length()));
+    buffer::<300>(|space| sink(request.encode(&mut Writer::new(space))));
+    sink(Request::decode(bytes()));
+    sink(part(&request, byte()));
+}
+
+#[inline(never)]
+fn replies() {
+    let reply = reply();
+    buffer::<300>(|space| sink(reply.encode(&mut Writer::new(space))));
+    sink(Reply::decode(bytes()));
+}
+
+#[inline(never)]
+fn samples() {
+    let sign = sign();
+    sink(sign.decode_i24(any([0; 3])));
+    sink(sign.encode_i24(any(0)));
+    sink(sign.decode_i32(any([0; 4])));
+    sink(sign.encode_i32(any(0)));
+    let sample = Sample::decode(&any([0; SAMPLE_LENGTH]), sign);
+    sink(sample.newtons());
+    sink(sample.volts());
+    sink(Sample(any([0; AXES])).encode(sign));
+}
+
+#[inline(never)]
+fn registers() {
+    for register in any(register::TABLE) {
+        sink(register.last());
+        sink(register.meets(word(), word()));
+    }
+}
+
+#[inline(never)]
+fn serial() {
+    buffer::<300>(|space| sink(serial::encode_request(byte(), &request(), space)));
+    buffer::<300>(|space| sink(serial::encode_reply(byte(), &reply(), space)));
+    sink(serial::Frame::decode(bytes()));
+    sink(serial::request_length(bytes()));
+    sink(serial::Requests.length(bytes()));
+    sink(serial::Requests.is_valid(bytes()));
+    sink(serial::Requests.is_broadcast(bytes()));
+    let expected = serial::ExpectedReply::new(byte(), &request());
+    sink((expected.address(), expected.function(), expected.body_length()));
+    sink(expected.lengths());
+    sink(expected.accepts_body(bytes()));
+    sink(expected.accepts_quirk(bytes()));
+    sink(expected.accepts(bytes()));
+    sink(Expectation::accepts(&expected, size(), bytes()));
+}
+
+#[inline(never)]
+fn stream() {
+    sink(stream::split(bytes()));
+    sink(stream::request_length(bytes()));
+    sink(stream::Requests.length(bytes()));
+    sink(stream::Requests.is_valid(bytes()));
+    sink(stream::Requests.is_broadcast(bytes()));
+    sink(stream::Requests.forgives_stray_bytes());
+    let expected = stream::ExpectedReply::new(byte(), &request());
+    sink(expected.lengths());
+    sink(Expectation::accepts(&expected, size(), bytes()));
+    buffer::<300>(|space| sink(stream::encode_request(byte(), &request(), space)));
+    buffer::<300>(|space| sink(stream::encode_reply(byte(), &reply(), space)));
+}
+
+#[inline(never)]
+fn identifiers() {
+    sink(Identifier::from_raw(long()).map(Identifier::to_raw));
+    let identifier = Identifier {
+        source: byte(),
+        destination: byte(),
+        frame_type: FrameType::from_code(byte()),
+        counter: byte(),
+    };
+    sink(identifier.to_raw());
+}
+
+#[inline(never)]
+fn segments() {
+    if let Ok(frames) = segment(byte(), byte(), bytes()) {
+        for frame in frames {
+            sink(frame);
+        }
+    }
+}
+
+#[inline(never)]
+fn reassembler<const CONTEXTS: usize>() {
+    let mut reassembler = Reassembler::<CONTEXTS>::new(byte(), span());
+    while flag() {
+        match any(0) {
+            0 => reassembler.set_node(byte()),
+            1 => reassembler.clear(),
+            _ => {
+                if let Some(frame) = can_frame() {
+                    sink(reassembler.push(&frame, moment()));
+                }
+            }
+        }
+    }
+}
+
+/// Hardware with any content.
+struct Anything {
+    settings: [u8; SETTINGS_LENGTH],
+}
+
+impl Hardware for Anything {
+    fn sample(&mut self) -> Sample {
+        Sample(any([0; AXES]))
+    }
+
+    fn settings(&self) -> &[u8; SETTINGS_LENGTH] {
+        &self.settings
+    }
+
+    fn store(&mut self, settings: &[u8; SETTINGS_LENGTH]) -> Result<(), StoreError> {
+        self.settings = any(*settings);
+        if flag() { Ok(()) } else { Err(StoreError) }
+    }
+}
+
+#[inline(never)]
+fn daq<H: Hardware>(mut daq: Daq<H>) {
+    while flag() {
+        match any(0) {
+            0 => daq.restart(),
+            1 => sink(daq.address()),
+            2 => sink(daq.hardware().sample()),
+            3 => sink(daq.sample()),
+            4 => buffer::<300>(|out| sink(daq.serve_serial(bytes(), out))),
+            5 => buffer::<300>(|out| sink(daq.serve_stream(bytes(), out))),
+            6 => daq
+                .serve_can(byte(), byte(), bytes(), &mut [0; TRANSFER_MAX])
+                .into_iter()
+                .flatten()
+                .for_each(sink),
+            7 => buffer::<300>(|out| sink(daq.serve(byte(), bytes(), out))),
+            _ => buffer::<300>(|out| sink(daq.dispatch(&request(), out))),
+        }
+    }
+}
