@@ -2,6 +2,7 @@
 //! which the firmware has them.
 
 use super::can_wire::CanWire;
+use super::moment::Moment;
 use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
 use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
 use jointbus_mcu_bridge::io::serial::{InterruptSide, MainSide, Queues, recent};
@@ -104,7 +105,8 @@ impl<'q> Board<'q> {
     }
 
     /// One turn of the main loop.
-    pub(super) fn turn(&mut self, now: Instant, wire: &mut CanWire) -> Handed {
+    pub(super) fn turn(&mut self, moment: Moment, wire: &mut CanWire) -> Handed {
+        let now = moment.instant();
         let mut handed = Handed::default();
         for (queues, port) in self.queues.iter_mut().zip(SERIAL) {
             queues.carry_in(&mut self.engine, port, now);
@@ -114,7 +116,7 @@ impl<'q> Board<'q> {
         for ((queues, port), moved) in self.queues.iter_mut().zip(SERIAL).zip(&mut handed.serial) {
             *moved = queues.carry_out(&mut self.engine, port);
         }
-        self.carry_can_out(now, wire, &mut handed);
+        self.carry_can_out(moment, wire, &mut handed);
         for (port, changed) in SERIAL.into_iter().zip(&mut handed.changed) {
             *changed = self.engine.take_port_change(port);
         }
@@ -135,8 +137,12 @@ impl<'q> Board<'q> {
         }
     }
 
-    fn carry_can_out(&mut self, now: Instant, wire: &mut CanWire, handed: &mut Handed) {
-        self.engine.set_bus_off(wire.controllers[CONTROLLER].is_bus_off());
+    fn carry_can_out(&mut self, moment: Moment, wire: &mut CanWire, handed: &mut Handed) {
+        let now = moment.instant();
+        self.engine.set_bus_off(wire.controllers[CONTROLLER].is_bus_off(), now);
+        if self.engine.take_can_restart(now) {
+            wire.restart(CONTROLLER, moment);
+        }
         if self.engine.wants_abort() {
             wire.abort(CONTROLLER);
             if wire.controllers[CONTROLLER].outbox.is_empty() && self.sent == 0 {

@@ -28,8 +28,12 @@ pub struct Controller {
     pub transmit_errors: u16,
     /// Receive error counter.
     pub receive_errors: u16,
+    /// Whether it stays bus-off until its owner restarts it.
+    pub waits_for_restart: bool,
     /// Idle sequences until it is no longer bus-off.
     recovery: Option<u64>,
+    /// Bus-off, and not restarted.
+    halted: bool,
     /// Not before: an error passive sender lets others go first.
     suspended: Moment,
     /// The frame on the wire is not sent again if it fails.
@@ -58,6 +62,14 @@ impl Controller {
         if self.transmit_errors > BUS_OFF {
             (self.transmit_errors, self.receive_errors) = (0, 0);
             self.recovery = Some(RECOVERY);
+            self.halted = self.waits_for_restart;
+        }
+    }
+
+    /// Lets idle sequences count.
+    fn recover(&mut self, sequences: u64) {
+        if !self.halted {
+            self.recovery = self.recovery.map(|left| left.saturating_sub(sequences)).filter(|left| *left > 0);
         }
     }
 }
@@ -164,6 +176,12 @@ impl CanWire {
         controller.given_up = sending;
     }
 
+    /// Restarts a controller: from now on idle sequences end its bus-off.
+    pub fn restart(&mut self, controller: usize, now: Moment) {
+        self.count_idle(now);
+        self.controllers[controller].halted = false;
+    }
+
     /// Holds the bus dominant until `end`. A frame on the wire is destroyed; its sender, which hears dominant bits for
     /// ever, goes bus-off unless that ends soon. The answer is whose frame it was.
     pub fn hold_dominant(&mut self, now: Moment, end: Moment) -> Option<usize> {
@@ -204,20 +222,20 @@ impl CanWire {
             return Some(self.put_on_wire(sender, frame, now));
         }
         // somebody wants to send who may not yet: bus-off or error passive
-        let later =
-            self.controllers.iter().filter(|controller| wants(controller)).map(|controller| match controller
-                .recovery
-            {
+        let later = self.controllers.iter().filter(|it| wants(it) && !it.halted).map(|controller| {
+            match controller.recovery {
                 Some(sequences) => now.after(self.bits(sequences * IDLE)),
                 None => controller.suspended,
-            });
+            }
+        });
         later.min()
     }
 
     /// When those that are bus-off come back if the bus stays idle.
     #[must_use]
     pub fn recovery(&self, now: Moment) -> Option<Moment> {
-        let sequences = self.controllers.iter().filter_map(|controller| controller.recovery).min()?;
+        let counting = self.controllers.iter().filter(|controller| !controller.halted);
+        let sequences = counting.filter_map(|controller| controller.recovery).min()?;
         Some(now.max(self.counted).after(self.bits(sequences.max(1) * IDLE)))
     }
 
@@ -234,8 +252,7 @@ impl CanWire {
                 others.for_each(|(_, other)| {
                     other.receive_errors = other.receive_errors.saturating_sub(1);
                     // delimiter, end of frame and intermission are one idle sequence
-                    other.recovery =
-                        other.recovery.map(|left| left.saturating_sub(1)).filter(|left| *left > 0);
+                    other.recover(1);
                 });
                 let controller = &mut self.controllers[sender];
                 controller.transmit_errors = controller.transmit_errors.saturating_sub(1);
@@ -289,8 +306,7 @@ impl CanWire {
         }
         self.counted = self.counted.after(sequences * self.bits(IDLE));
         for controller in &mut self.controllers {
-            controller.recovery =
-                controller.recovery.map(|left| left.saturating_sub(sequences)).filter(|left| *left > 0);
+            controller.recover(sequences);
         }
     }
 }

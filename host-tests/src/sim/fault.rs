@@ -104,7 +104,7 @@ faults! {
         CanDominant = "can-dominant",
         /// A frame is acknowledged, but its receiver has no room for it.
         CanFrameLost = "can-frame-lost",
-        /// A frame arrives twice.
+        /// A frame of a reply arrives twice.
         CanFrameDoubled = "can-frame-doubled",
         /// Two frames of a reply come in the wrong order.
         CanFramesSwapped = "can-frames-swapped",

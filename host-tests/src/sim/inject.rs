@@ -109,7 +109,10 @@ impl World<'_> {
                 self.can.disturbances.extend(bits);
             }
             Fault::CanFrameLost => self.can.disturbances.push_back((sender, Disturbance::Lost)),
-            Fault::CanFrameDoubled => self.can.disturbances.push_back((sender, Disturbance::Doubled)),
+            // the bridge's own frame arriving twice would be a command carried out twice, and nobody's fault but CAN's
+            Fault::CanFrameDoubled => {
+                self.can.disturbances.push_back((sender.max(1), Disturbance::Doubled));
+            }
             Fault::CanNoAcknowledgement => {
                 let all: Vec<usize> = (0..self.nodes.len()).collect();
                 self.darken(&all, now.after(span));

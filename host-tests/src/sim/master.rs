@@ -8,7 +8,7 @@ use crate::devices::Order;
 use jointbus_mcu_bridge::engine::config::{Network, Port, Protocol, Route};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::nst::can::{FrameType, Identifier};
+use jointbus_protocol::nst::can::{FrameType, Identifier, READ_MAX, WRITE_MAX};
 use jointbus_protocol::nst::{SAMPLE_LENGTH, register};
 use jointbus_protocol::time::Instant;
 use std::collections::HashMap;
@@ -349,13 +349,16 @@ impl Master {
         }
         let first = u16::from_be_bytes([high, low]);
         let head = [function, high, low, length];
+        let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
         self.passes(Port::Can, identifier.destination, &head, start, now, |asked| {
-            let Some(&[asked_function, high, low, asked_length]) = asked.body.first_chunk::<4>() else {
+            let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
                 return false;
             };
-            let asked_first = u16::from_be_bytes([high, low]);
-            let end = asked_first + u16::from(asked_length);
-            asked_function == function && (asked_first..end.max(asked_first + 1)).contains(&first)
+            let Some(moved) = first.checked_sub(u16::from_be_bytes([high, low])) else { return false };
+            let rest = u16::from(whole).checked_sub(moved);
+            asked_function == function
+                && moved % most as u16 == 0
+                && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
         });
     }
 
@@ -388,9 +391,7 @@ impl Master {
             return;
         };
         // of a split transfer the first part counts
-        let first_part = asked.body.get(..4) == head.get(..4)
-            || port != Port::Can
-            || head.get(1..3) == asked.body.get(1..3);
+        let first_part = head.get(1..3) == asked.body.get(1..3);
         let limit = if port == Port::Can { asked.expires.after(FRAME) } else { asked.expires };
         let question = asked.question;
         if first_part && start > limit {

@@ -17,7 +17,8 @@ use jointbus_protocol::modbus::{self, Range, rtu};
 use jointbus_protocol::nst::serial::encode_request;
 use jointbus_protocol::{checksum, nst};
 
-/// Silence that certainly ends a burst.
+/// Silence that ends a burst, and one that certainly does.
+const BURST_ENDS: Nanos = 20 * MILLIS;
 const SILENCE: Nanos = 21 * MILLIS;
 
 /// Alarm for the next request.
@@ -276,7 +277,7 @@ impl<'q> Run<'q> {
                 );
                 let at = self.world.host_sends(&bytes);
                 // taken when the line has been silent
-                self.master.ask(unit, question, at.after(SILENCE));
+                self.master.ask(unit, question, at.after(BURST_ENDS));
                 at
             }
             Fault::HostLongPause => {

@@ -165,7 +165,8 @@ impl<'q> World<'q> {
         let nodes: Vec<_> =
             (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();
         // the bridge, the nodes, the intruder
-        let can = CanWire::new(settings.network.port(Port::Can).rate.into(), nodes.len() + 2);
+        let mut can = CanWire::new(settings.network.port(Port::Can).rate.into(), nodes.len() + 2);
+        can.controllers[CONTROLLER].waits_for_restart = true;
         let host_byte = byte_time(settings.network.port(Port::Host));
         let mut world = Self {
             now,
@@ -321,7 +322,7 @@ impl<'q> World<'q> {
 
     fn main_loop(&mut self) {
         self.turn = None;
-        let handed = self.board.turn(self.now.instant(), &mut self.can);
+        let handed = self.board.turn(self.now, &mut self.can);
         self.carry_out(&handed);
         let tick = self.now.after(1).rounded_up(TICK);
         if handed.again {
