@@ -187,12 +187,8 @@ impl CanBus {
             let fits = source == expected.address()
                 && destination == self.node
                 && (quirk || expected.accepts_body(body));
-            // a device answers only what it has received whole, even if its acknowledgement is told later
-            let asked = match flight.phase {
-                Phase::Waiting { .. } => true,
-                Phase::Sending { handed, .. } => handed == frames(&flight.part.body),
-                Phase::Ready | Phase::Aborting => false,
-            };
+            // a device answers only what it has received whole: what comes before is a second copy of the last reply
+            let asked = matches!(flight.phase, Phase::Waiting { .. });
             (fits && asked).then_some((flight, expected, quirk))
         }) else {
             let late = self.owed.iter().position(|owed| match owed {
