@@ -70,7 +70,7 @@ faults! {
         NoiseAfter = "noise-after",
         /// A reply comes after one to three times the timeout.
         ReplyLate = "reply-late",
-        /// A reply comes twice.
+        /// A reply comes twice, one right behind the other.
         ReplyTwice = "reply-twice",
         /// A reply names another unit.
         ReplyOtherUnit = "reply-other-unit",
@@ -78,7 +78,7 @@ faults! {
         ReplyOtherFunction = "reply-other-function",
         /// A reply has another length.
         ReplyOtherLength = "reply-other-length",
-        /// A Modbus device answers that it is busy, or that it failed.
+        /// A Modbus device answers that it failed, or that it takes its time.
         ReplyException = "reply-exception",
         /// A device answers at another baud rate.
         WrongBaud = "wrong-baud",
@@ -128,7 +128,7 @@ faults! {
         CanQuirk = "can-quirk",
         /// A reply comes after one to three times the timeout.
         CanReplyLate = "can-reply-late",
-        /// A reply comes twice.
+        /// A reply comes twice, one right behind the other.
         CanReplyTwice = "can-reply-twice",
         /// A device is without power for a while, and comes back.
         CanDeviceDead = "can-device-dead",

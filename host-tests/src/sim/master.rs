@@ -349,6 +349,8 @@ impl Master {
         }
         let first = u16::from_be_bytes([high, low]);
         let head = [function, high, low, length];
+        // the number of a write follows its header
+        let payload = *frame.payload();
         let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
         self.passes(Port::Can, identifier.destination, &head, start, now, |asked| {
             let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
@@ -356,7 +358,9 @@ impl Master {
             };
             let Some(moved) = first.checked_sub(u16::from_be_bytes([high, low])) else { return false };
             let rest = u16::from(whole).checked_sub(moved);
+            let same = moved > 0 || function != 0x10 || asked.body.get(..8) == Some(&payload);
             asked_function == function
+                && same
                 && moved % most as u16 == 0
                 && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
         });

@@ -17,6 +17,9 @@
 //! Not simulated: single bits and noise margins, framing errors as the UART reports them, receive FIFO of the controller
 //! (its interrupt is never late), controllers that send equal identifiers at once, the flash store, the watchdog.
 //!
+//! Not to be held against the bridge, and not simulated: a device that repeats a reply of its own accord *later*, when a
+//! request of the same form is under way. These protocols number nothing; nobody could tell.
+//!
 //! [`Run`] puts a host into it that knows of every answer whether it belongs to its question, and sends faults;
 //! [`properties`] says what must hold. `cargo xtask soak` shows it over millions of requests, `cargo xtask sim --seed N`
 //! repeats one run, and `--pcap FILE` records it for Wireshark ([`Recorder`]).

@@ -408,7 +408,8 @@ impl<'q> Run<'q> {
         let (retries, refused) = (sum(|it| it.retries), sum(|it| it.refused));
         let counted = expired + timeouts + refused - retries;
         let tally = &mut self.master.tally;
-        let unanswered = tally.silent + tally.refused + tally.unknown;
+        // what was relayed by coincidence is an answer to the bridge
+        let unanswered = tally.silent + tally.refused + tally.unknown - tally.coincidences;
         let now = self.world.now();
         if tally.asked != tally.answered + tally.silent + tally.refused || counted != unanswered {
             let told = tally.clone();

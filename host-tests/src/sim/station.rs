@@ -2,7 +2,7 @@
 
 use super::delay::Delay;
 use super::fault::Fault;
-use super::moment::{MILLIS, Moment, Nanos};
+use super::moment::{Moment, Nanos};
 use super::random::Random;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
@@ -219,7 +219,7 @@ pub(super) fn spoil(
         }
         Fault::NoiseAfter => (0..random.between(1, 20)).for_each(|_| reply.push(random.byte())),
         Fault::ReplyLate => return too_late(timeout, random),
-        Fault::ReplyTwice => *again = Some(random.below(20 * MILLIS)),
+        Fault::ReplyTwice => *again = Some(0),
         Fault::ReplyOtherUnit => {
             reply[0] = reply[0] % 16 + 1;
             reseal(reply);
@@ -245,7 +245,7 @@ pub(super) fn spoil(
         }
         Fault::ReplyException => {
             let [unit, function] = [reply[0], reply[1] | 0x80];
-            *reply = vec![unit, function, random.pick(&[4, 6]), 0, 0];
+            *reply = vec![unit, function, random.pick(&[4, 5]), 0, 0];
             reseal(reply);
         }
         Fault::WrongBaud => {
@@ -319,7 +319,7 @@ pub(super) fn spoil_frames(
             }
         }
         Fault::CanReplyLate => return too_late(timeout, random),
-        Fault::CanReplyTwice => *again = Some(random.below(20 * MILLIS)),
+        Fault::CanReplyTwice => *again = Some(0),
         _ => {}
     }
     0
