@@ -20,6 +20,7 @@ pub mod clock;
 pub mod devices;
 pub mod in_process;
 pub mod share;
+pub mod sim;
 
 /// Version of this package, which is that of the whole workspace: major, minor, patch.
 #[must_use]

@@ -206,6 +206,47 @@ fn a_late_reply_is_given_to_no_other_request() {
 }
 
 #[test]
+fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
+    // on the serial line, which babbles until the time to live has passed
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(40)), []);
+    for _ in 0..400 {
+        world.engine.receive(Port::Rs485A, &[0x55], world.now);
+        world.pass(Duration::from_micros(200));
+    }
+    let counters = world.engine.counters(Port::Rs485A);
+    assert_eq!((counters.timeouts, counters.retries, counters.expired), (1, 0, 0));
+    assert_eq!(world.sent.len(), 1);
+    world.held_back = None;
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(20)), [], "the first reply may still come");
+    assert_eq!(world.sent.len(), 1);
+    world.pass(Duration::from_millis(20));
+    assert_eq!(world.sent.len(), 2, "three times the timeout have passed");
+
+    // on CAN, where nobody acknowledges the retry
+    let mut world = World::new();
+    world.unplugged = vec![Port::Can];
+    assert_eq!(world.nst(1, &READ, Duration::from_millis(40)), []);
+    world.acknowledge = false;
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 1], Duration::from_millis(61)), []);
+    let counters = world.engine.counters(Port::Can);
+    assert_eq!(
+        (counters.sent, counters.timeouts, counters.retries),
+        (1, 2, 1),
+        "no later than its time to live"
+    );
+    world.acknowledge = true;
+    world.pass(Duration::from_millis(10));
+    let sent = world.engine.counters(Port::Can).sent;
+    world.unplugged.clear();
+    assert_eq!(world.nst(1, &READ, Duration::from_millis(30)), [], "the first reply may still come");
+    assert_eq!(world.engine.counters(Port::Can).sent, sent);
+    world.pass(Duration::from_millis(30));
+    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
+}
+
+#[test]
 fn a_port_that_hears_itself_drops_its_echo_and_counts_collisions() {
     let mut world = World::new();
     let request = [5, 2, 3, 0xFF, 0];

@@ -11,7 +11,8 @@
 //! documented function of that moment ([`motion`]), and each device keeps a [`Log`] of what it told, so that a reader
 //! at the far end can be checked value by value. Devices can be unplugged and plugged in again at any moment.
 //!
-//! Not simulated: bit times, reply times (an answer comes at once), collisions, EtherCAT and Ethernet DAQs.
+//! Not simulated here: bit times, reply times (an answer comes at once), collisions; [`sim`](crate::sim) puts these
+//! devices on lines and a bus that have them. Not simulated at all: EtherCAT and Ethernet DAQs.
 
 pub mod attach;
 mod log;
@@ -20,6 +21,7 @@ pub mod motion;
 mod ndam;
 mod nst_can;
 mod nst_serial;
+mod order;
 mod sensor;
 
 pub use log::Log;
@@ -27,6 +29,7 @@ pub use motion::Motion;
 pub use ndam::{Inputs, NdamLine};
 pub use nst_can::NstCan;
 pub use nst_serial::NstSerial;
+pub use order::Order;
 pub use sensor::{Sensor, Wiring};
 
 use jointbus_protocol::can::Frame;

@@ -17,31 +17,74 @@ pub const QUICK: f64 = 17.0;
 /// and this part of its amplitude.
 pub const QUICK_PART: f64 = 0.05;
 
-/// A tool that swings: each axis is a slow sine and a quick, small one on top.
+/// What a sensor measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
-    phase: f64,
+pub struct Motion(Kind);
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    /// Each axis is a slow sine and a quick, small one on top.
+    Swing { phase: f64 },
+    /// The axes spell the moment.
+    Spelling,
 }
 
+/// Bits of a moment that one axis spells; all values stay positive in 24 bits.
+const SPELT_BITS: u32 = 22;
+const SPELT_MASK: u64 = (1 << SPELT_BITS) - 1;
+
 impl Motion {
-    /// A motion of its own for each number.
+    /// A tool that swings, a motion of its own for each number.
     #[must_use]
     pub fn new(number: u8) -> Self {
         // the golden ratio spreads the phases of neighbours
-        Self { phase: (f64::from(number) * 0.618_034).fract() }
+        Self(Kind::Swing { phase: (f64::from(number) * 0.618_034).fract() })
+    }
+
+    /// Axes that spell the moment at which they are measured, for [`spelt_moment`] to read: no two samples are alike.
+    #[must_use]
+    pub const fn spelling() -> Self {
+        Self(Kind::Spelling)
     }
 
     /// The six axes at a moment, in mN and mN.m.
     #[must_use]
     pub fn sample(&self, now: Instant) -> Sample {
+        let Kind::Swing { phase } = self.0 else { return spell(now) };
         let mut axes = [0; AXES];
         for ((axis, amplitude), frequency) in axes.iter_mut().zip(AMPLITUDE).zip(FREQUENCY) {
-            let turns = frequency * seconds(now) + self.phase;
+            let turns = frequency * seconds(now) + phase;
             let swing = (TAU * turns).sin() + QUICK_PART * (TAU * QUICK * turns).sin();
             *axis = (amplitude * swing).round() as i32;
         }
         Sample(axes)
     }
+}
+
+/// A sample that spells a moment: its low bits, its high bits, and both again in four other ways.
+fn spell(now: Instant) -> Sample {
+    let (low, high) = (now.as_micros() & SPELT_MASK, now.as_micros() >> SPELT_BITS & SPELT_MASK);
+    let mixed = [low, high, low ^ 0x15_5555, high ^ 0x2A_AAAA, low * 5 + high, high * 9 + low];
+    Sample(mixed.map(|axis| (axis & SPELT_MASK) as i32))
+}
+
+/// The moment that a sample of [`Motion::spelling`] was measured at; `None` where its axes are of several moments, or
+/// of none.
+#[must_use]
+pub fn spelt_moment(sample: &Sample) -> Option<Instant> {
+    let [low, high, ..] = sample.0.map(i64::from);
+    let moment = u64::try_from(low | high << SPELT_BITS).ok().map(Instant::from_micros)?;
+    (spell(moment) == *sample).then_some(moment)
+}
+
+/// Analog inputs of a module that spell the moment: its low and its high 16 bits in turns, each channel in its own way.
+#[must_use]
+pub fn spelling_inputs(index: usize, now: Instant) -> [u16; CHANNELS_MAX as usize] {
+    std::array::from_fn(|channel| {
+        let part = now.as_micros() >> if channel % 2 == 0 { 0 } else { 16 };
+        let mask = (channel * 0x1357 + index * 0x2B00) & 0xFFFF;
+        (part & 0xFFFF ^ mask as u64) as u16
+    })
 }
 
 /// The digital inputs of module `index`: a counter that steps four times a second, ahead by `index` steps.
@@ -85,6 +128,23 @@ mod tests {
             assert!(f64::from(high) > 0.9 * amplitude && f64::from(high) < 1.06 * amplitude);
         }
         assert_ne!(motion.sample(Instant::default()), Motion::new(4).sample(Instant::default()));
+    }
+
+    #[test]
+    fn a_spelt_moment_is_read_and_a_torn_one_is_not() {
+        let at = |micros| Motion::spelling().sample(Instant::from_micros(micros));
+        for micros in [0, 1, 4_194_303, 4_194_304, 3_600_000_000, 0xFFF_FFFF_FFFF] {
+            let sample = at(micros);
+            assert_eq!(spelt_moment(&sample), Some(Instant::from_micros(micros)));
+            let encoded = sample.encode(jointbus_protocol::nst::SignEncoding::TwosComplement);
+            let decoded = Sample::decode(&encoded, jointbus_protocol::nst::SignEncoding::TwosComplement);
+            assert_eq!(decoded, sample, "it fits 24 bits");
+            for axis in 0..AXES {
+                let mut torn = sample;
+                torn.0[axis] = at(micros ^ 0x40_0040).0[axis];
+                assert_eq!(spelt_moment(&torn), None, "axis {axis}");
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
-use super::{Log, SerialLine, motion};
+use super::{Log, Order, SerialLine, motion};
 use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
-use jointbus_protocol::modbus::rtu::{FRAME_MAX, Requests};
+use jointbus_protocol::modbus::BROADCAST;
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, Frame, Requests};
 use jointbus_protocol::ndam9010::{CHANNELS_MAX, Layout, RamModule, Station, StationError};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -22,7 +23,9 @@ pub struct NdamLine<const N: usize> {
     station: Station<RamModule, N>,
     start_id: u8,
     plugged: bool,
+    spelling: bool,
     told: Log<Inputs>,
+    orders: Log<(u8, Order)>,
 }
 
 impl<const N: usize> NdamLine<N> {
@@ -33,7 +36,15 @@ impl<const N: usize> NdamLine<N> {
     pub fn new(layout: Layout, start_id: u8, silence: Duration) -> Result<Self, StationError> {
         let station = Station::new(std::array::from_fn(|_| RamModule::new(layout)), start_id)?;
         let deframer = BurstDeframer::new(silence);
-        Ok(Self { deframer, station, start_id, plugged: true, told: Log::default() })
+        let (told, orders) = (Log::default(), Log::default());
+        Ok(Self { deframer, station, start_id, plugged: true, spelling: false, told, orders })
+    }
+
+    /// Has the analog inputs spell the moment, as [`motion::spelling_inputs`] says.
+    #[must_use]
+    pub const fn spelling(mut self) -> Self {
+        self.spelling = true;
+        self
     }
 
     /// The module with this index: its outputs as they are set, its layout, its faults.
@@ -58,16 +69,37 @@ impl<const N: usize> NdamLine<N> {
         &self.told
     }
 
+    /// The writes that were carried out, each with the unit that was meant; 0 is the broadcast.
+    #[must_use]
+    pub const fn orders(&self) -> &Log<(u8, Order)> {
+        &self.orders
+    }
+
     fn answer(&mut self, frame: &[u8], now: Instant, out: &mut Vec<u8>) {
         if !self.plugged {
             return;
         }
         for (index, module) in self.station.modules().iter_mut().enumerate() {
             module.inputs = motion::digital_inputs(index, now);
-            module.analog_inputs = motion::analog_inputs(index, now);
+            module.analog_inputs = match self.spelling {
+                false => motion::analog_inputs(index, now),
+                true => motion::spelling_inputs(index, now),
+            };
         }
         let mut reply = [0; FRAME_MAX];
-        let Ok(reply) = self.station.serve(frame, &mut reply) else { return };
+        let result = self.station.serve(frame, &mut reply);
+        let accepted = match &result {
+            // an exception has the top bit of the function code set
+            Ok(reply) => reply.get(1).is_some_and(|code| code & 0x80 == 0),
+            Err(_) => frame.first() == Some(&BROADCAST),
+        };
+        if accepted
+            && let Ok(frame) = Frame::decode(frame)
+            && let Some(order) = Order::of_modbus(frame.pdu)
+        {
+            self.orders.push(now, (frame.unit, order));
+        }
+        let Ok(reply) = result else { return };
         out.extend_from_slice(reply);
         let Some(&unit) = reply.first() else { return };
         let index = usize::from(unit.saturating_sub(self.start_id));

@@ -1,4 +1,4 @@
-use super::{Log, Motion};
+use super::{Log, Motion, Order};
 use jointbus_protocol::nst::register::{self, Register};
 use jointbus_protocol::nst::{Daq, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding, Silence};
 use jointbus_protocol::time::Instant;
@@ -20,6 +20,7 @@ pub struct Sensor {
     plugged: bool,
     told: Log<Sample>,
     silences: Log<Silence>,
+    orders: Log<Order>,
 }
 
 impl Sensor {
@@ -37,6 +38,7 @@ impl Sensor {
             plugged: true,
             told: Log::default(),
             silences: Log::default(),
+            orders: Log::default(),
         }
     }
 
@@ -80,6 +82,12 @@ impl Sensor {
         &self.silences
     }
 
+    /// The writes and commands that it carried out.
+    #[must_use]
+    pub const fn orders(&self) -> &Log<Order> {
+        &self.orders
+    }
+
     /// Answers the request with this body through `serve`, which picks the form.
     pub(super) fn answer<R>(
         &mut self,
@@ -91,14 +99,20 @@ impl Sensor {
             return None;
         }
         self.daq.hardware().sample = self.motion.sample(now);
-        match serve(&mut self.daq) {
-            Ok(reply) => {
-                if Request::decode(body).is_ok_and(|request| reads_all_axes(&request)) {
-                    let sample = self.daq.sample();
-                    self.told.push(now, sample);
-                }
-                Some(reply)
+        let result = serve(&mut self.daq);
+        if matches!(result, Ok(_) | Err(Silence::Broadcast(None)))
+            && let Ok(request) = Request::decode(body)
+        {
+            if reads_all_axes(&request) {
+                let sample = self.daq.sample();
+                self.told.push(now, sample);
             }
+            if let Some(order) = Order::of_nst(&request) {
+                self.orders.push(now, order);
+            }
+        }
+        match result {
+            Ok(reply) => Some(reply),
             Err(silence) => {
                 self.silences.push(now, silence);
                 None

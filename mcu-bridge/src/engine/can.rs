@@ -48,8 +48,9 @@ struct Flight {
     request: Request,
     phase: Phase,
     retries_left: u8,
-    /// Attempts at the present part that timed out.
+    /// Attempts at the present part that timed out, and when the newest of them had been sent.
     unanswered: u8,
+    last_sent: Option<Instant>,
     /// Bytes of the request that former parts moved.
     moved: u8,
     part: Part,
@@ -186,12 +187,8 @@ impl CanBus {
             let fits = source == expected.address()
                 && destination == self.node
                 && (quirk || expected.accepts_body(body));
-            // a device answers only what it has received whole, even if its acknowledgement is told later
-            let asked = match flight.phase {
-                Phase::Waiting { .. } => true,
-                Phase::Sending { handed, .. } => handed == frames(&flight.part.body),
-                Phase::Ready | Phase::Aborting => false,
-            };
+            // a device answers only what it has received whole: what comes before is a second copy of the last reply
+            let asked = matches!(flight.phase, Phase::Waiting { .. });
             (fits && asked).then_some((flight, expected, quirk))
         }) else {
             let late = self.owed.iter().position(|owed| match owed {
@@ -288,6 +285,7 @@ impl CanBus {
                         phase: Phase::Ready,
                         retries_left: request.retries,
                         unanswered: 0,
+                        last_sent: None,
                         moved: 0,
                         part,
                         joined: Vec::new(),
@@ -300,12 +298,15 @@ impl CanBus {
         }
         let Some(flight) = &mut self.flight else { return };
         if flight.phase == Phase::Ready && self.outstanding == 0 && !self.owed.is_full() {
-            // of a split transfer the first part's first attempt has to be sent within the time to live
-            let limit = match (flight.moved, flight.unanswered) {
-                (0, 0) => flight.request.expires,
+            // of a split transfer the first part has to be sent within the time to live
+            let limit = match flight.moved {
+                0 => flight.request.expires,
                 _ => now.after(flight.request.timeout),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
+            if flight.unanswered > 0 {
+                count(&mut around.counters.retries);
+            }
         }
     }
 
@@ -330,16 +331,18 @@ impl CanBus {
         let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
         let deadline = now.after(flight.request.timeout).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
+        flight.last_sent = Some(now);
     }
 
     /// The transfer was not sent in time; of the first part nothing has been carried out.
     fn not_sent(&mut self, around: &mut Surroundings<'_>) {
         let Some(flight) = &self.flight else { return };
-        count(if (flight.moved, flight.unanswered) == (0, 0) {
-            &mut around.counters.expired
-        } else {
-            &mut around.counters.timeouts
-        });
+        match (flight.moved, flight.unanswered, flight.phase) {
+            (0, 0, _) => count(&mut around.counters.expired),
+            // the attempt before has been counted, and this one was none
+            (_, 1.., Phase::Ready) => {}
+            _ => count(&mut around.counters.timeouts),
+        }
         around.fail(&flight.request);
         self.finish(around);
     }
@@ -347,23 +350,23 @@ impl CanBus {
     fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         count(&mut around.counters.timeouts);
         let Some(flight) = &mut self.flight else { return };
-        let Phase::Waiting { sent, .. } = flight.phase else { return };
         flight.unanswered = flight.unanswered.saturating_add(1);
         if flight.retries_left > 0 && now < flight.request.expires {
             flight.retries_left = flight.retries_left.saturating_sub(1);
             flight.phase = Phase::Ready;
-            count(&mut around.counters.retries);
         } else {
-            let until = sent.after(flight.request.hold_off);
-            self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
             around.give_up(&flight.request, now);
             self.finish(around);
         }
     }
 
+    /// Ends the transaction; what its device left unanswered is owed.
     fn finish(&mut self, around: &mut Surroundings<'_>) {
-        if let Some(flight) = self.flight.take() {
-            around.release(&flight.request);
+        let Some(flight) = self.flight.take() else { return };
+        around.release(&flight.request);
+        if let Some(sent) = flight.last_sent {
+            let until = sent.after(flight.request.hold_off);
+            self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
         }
     }
 }

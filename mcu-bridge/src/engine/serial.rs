@@ -30,6 +30,8 @@ struct Flight {
     retries_left: u8,
     /// Attempts that timed out.
     unanswered: u8,
+    /// When the newest attempt had left.
+    sent: Option<Instant>,
     /// What came back of this attempt, where the port hears itself.
     echo: Echo,
 }
@@ -137,6 +139,7 @@ impl SerialBus {
         let on_wire = around.port.characters(if expected.is_open() { FRAME_MAX } else { longest.max(other) });
         let deadline = now.after(flight.request.timeout).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
+        flight.sent = Some(now);
         self.discard(around);
     }
 
@@ -222,6 +225,7 @@ impl SerialBus {
             self.flight = around.next(&mut self.queue, &self.owed, now).map(|request| Flight {
                 retries_left: request.retries,
                 unanswered: 0,
+                sent: None,
                 echo: Echo::default(),
                 request,
                 phase: Phase::Ready,
@@ -234,6 +238,9 @@ impl SerialBus {
             let on_wire = around.port.characters(flight.request.content.len());
             let limit = now.after(on_wire).after(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { handed: 0, limit };
+            if flight.unanswered > 0 {
+                count(&mut around.counters.retries);
+            }
             flight.echo = Echo::default();
         }
     }
@@ -259,7 +266,6 @@ impl SerialBus {
         if flight.retries_left > 0 && now < flight.request.expires {
             flight.retries_left = flight.retries_left.saturating_sub(1);
             flight.phase = Phase::Ready;
-            count(&mut around.counters.retries);
             return;
         }
         around.give_up(&flight.request, now);
@@ -273,7 +279,7 @@ impl SerialBus {
         if flight.request.expected.is_none() {
             flight.count_collision(around);
         }
-        if let (Some(expected), Phase::Waiting { sent, .. }) = (flight.request.expected, flight.phase) {
+        if let (Some(expected), Some(sent)) = (flight.request.expected, flight.sent) {
             self.owed.add(expected, flight.unanswered, sent.after(flight.request.hold_off));
         }
     }

@@ -1,0 +1,159 @@
+//! The board around the engine: the queues between interrupts and main loop, and the main loop itself, in the order in
+//! which the firmware has them.
+
+use super::can_wire::CanWire;
+use super::moment::Moment;
+use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
+use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
+use jointbus_mcu_bridge::io::serial::{InterruptSide, MainSide, Queues, recent};
+use jointbus_protocol::can::{Frame, Id};
+use jointbus_protocol::time::Instant;
+use std::collections::VecDeque;
+
+use super::settings::Settings;
+
+/// The bridge's controller on the bus.
+pub(super) const CONTROLLER: usize = 0;
+
+/// Mailboxes for transmission.
+const MAILBOXES: usize = 3;
+
+/// Frames that wait between the CAN interrupt and the main loop, as the firmware has them.
+const CAN_INCOMING: usize = 32;
+
+/// Serial ports, in the order of their queues.
+pub(super) const SERIAL: [Port; 3] = [Port::Host, Port::Rs485A, Port::Rs485B];
+
+/// The main loop's side of the board.
+pub(super) struct Board<'q> {
+    pub(super) engine: Engine,
+    queues: [MainSide<'q>; 3],
+    frames: VecDeque<(Frame, u32)>,
+    sent: u32,
+    transmit_errors: u32,
+    receive_errors: u32,
+    overrun: bool,
+    node: u8,
+}
+
+/// The interrupts' side of a serial port.
+pub(super) struct Uart<'q> {
+    pub(super) queues: InterruptSide<'q>,
+    pub(super) sending: bool,
+}
+
+/// What the main loop put into the hardware's hands.
+#[derive(Debug, Default)]
+pub(super) struct Handed {
+    /// Bytes for a serial port.
+    pub(super) serial: [bool; 3],
+    /// Ports with new settings.
+    pub(super) changed: [Option<PortConfig>; 3],
+    /// The loop has to look again although no interrupt comes.
+    pub(super) again: bool,
+}
+
+impl<'q> Board<'q> {
+    pub(super) fn new(
+        settings: &Settings,
+        queues: &'q mut [Queues; 3],
+        now: Instant,
+    ) -> (Self, [Uart<'q>; 3]) {
+        let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
+        let mut engine = Engine::new(settings.network, settings.limits, identity, now);
+        engine.set_inputs(0, [0; 4]);
+        let [host, first, second] = queues;
+        let ((host_in, host), (first_in, first), (second_in, second)) =
+            (host.split(), first.split(), second.split());
+        let board = Self {
+            engine,
+            queues: [host, first, second],
+            frames: VecDeque::with_capacity(CAN_INCOMING),
+            sent: 0,
+            transmit_errors: 0,
+            receive_errors: 0,
+            overrun: false,
+            node: settings.network.port(Port::Can).node,
+        };
+        let uart = |queues| Uart { queues, sending: false };
+        (board, [uart(host_in), uart(first_in), uart(second_in)])
+    }
+
+    /// A frame of the bridge was acknowledged.
+    pub(super) const fn on_sent(&mut self) {
+        self.sent += 1;
+    }
+
+    /// A frame failed, its own or another's.
+    pub(super) const fn on_error(&mut self, own: bool) {
+        *(if own { &mut self.transmit_errors } else { &mut self.receive_errors }) += 1;
+    }
+
+    /// A frame came; whether the acceptance filter let it pass.
+    pub(super) fn on_frame(&mut self, frame: &Frame, now: Instant) -> bool {
+        let Id::Extended(id) = frame.id() else { return false };
+        let [highest, _, destination, _] = id.to_be_bytes();
+        if highest != 0 || destination != self.node || frame.is_remote() {
+            return false;
+        }
+        if self.frames.len() < CAN_INCOMING {
+            self.frames.push_back((*frame, now.as_micros() as u32));
+        } else {
+            self.overrun = true;
+        }
+        true
+    }
+
+    /// One turn of the main loop.
+    pub(super) fn turn(&mut self, moment: Moment, wire: &mut CanWire) -> Handed {
+        let now = moment.instant();
+        let mut handed = Handed::default();
+        for (queues, port) in self.queues.iter_mut().zip(SERIAL) {
+            queues.carry_in(&mut self.engine, port, now);
+        }
+        self.carry_can_in(now);
+        self.engine.poll(now);
+        for ((queues, port), moved) in self.queues.iter_mut().zip(SERIAL).zip(&mut handed.serial) {
+            *moved = queues.carry_out(&mut self.engine, port);
+        }
+        self.carry_can_out(moment, wire, &mut handed);
+        for (port, changed) in SERIAL.into_iter().zip(&mut handed.changed) {
+            *changed = self.engine.take_port_change(port);
+        }
+        handed.again |= self.queues.iter().any(|queues| !queues.is_idle()) || !self.frames.is_empty();
+        handed
+    }
+
+    fn carry_can_in(&mut self, now: Instant) {
+        // acknowledgements first: a reply comes after the request that it answers
+        (0..std::mem::take(&mut self.sent)).for_each(|_| self.engine.frame_sent(now));
+        (0..std::mem::take(&mut self.transmit_errors)).for_each(|_| self.engine.transmit_error());
+        (0..std::mem::take(&mut self.receive_errors)).for_each(|_| self.engine.receive_error(Port::Can));
+        if std::mem::take(&mut self.overrun) {
+            self.engine.overrun(Port::Can);
+        }
+        while let Some((frame, micros)) = self.frames.pop_front() {
+            self.engine.receive_frame(&frame, recent(now, micros));
+        }
+    }
+
+    fn carry_can_out(&mut self, moment: Moment, wire: &mut CanWire, handed: &mut Handed) {
+        let now = moment.instant();
+        self.engine.set_bus_off(wire.controllers[CONTROLLER].is_bus_off(), now);
+        if self.engine.take_can_restart(now) {
+            wire.restart(CONTROLLER, moment);
+        }
+        if self.engine.wants_abort() {
+            wire.abort(CONTROLLER);
+            if wire.controllers[CONTROLLER].outbox.is_empty() && self.sent == 0 {
+                self.engine.frames_aborted(now);
+            }
+            handed.again = true;
+            return;
+        }
+        while wire.controllers[CONTROLLER].outbox.len() < MAILBOXES {
+            let Some(frame) = self.engine.next_frame() else { break };
+            wire.controllers[CONTROLLER].outbox.push_back(frame);
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! How each kind of fault is brought about on the buses.
+
+use super::can_wire::Disturbance;
+use super::fault::{Fault, Place};
+use super::line::Tamper;
+use super::moment::{MICROS, MILLIS, Moment, Nanos};
+use super::world::{BRIDGE, LINES, World};
+use jointbus_protocol::can::{Frame, Id};
+use jointbus_protocol::nst::can::segment;
+
+/// Longest that a device stays dead, a line cut, or a bus dominant.
+const LONGEST: Nanos = 400 * MILLIS;
+
+/// Bit errors in a row that take a fresh controller to bus-off.
+const TO_BUS_OFF: usize = 32;
+
+impl World<'_> {
+    /// Brings a fault about, now or with the next frame that it concerns. The answer is when it is over, as far as that
+    /// can be told by now; [`World::is_armed`] tells whether it still waits for a frame. Faults of the host's line are
+    /// the host's business.
+    pub fn inject(&mut self, fault: Fault) -> Moment {
+        match fault.place() {
+            Place::Serial => {
+                let line = match fault {
+                    Fault::ReplyException => 1,
+                    _ => self.random.index(LINES),
+                };
+                self.inject_serial(fault, line)
+            }
+            Place::Can => self.inject_can(fault),
+            Place::Host => self.now,
+        }
+    }
+
+    /// Whether a fault still waits for a frame that it concerns.
+    #[must_use]
+    pub fn is_armed(&self) -> bool {
+        let serial = self.lines.iter().any(|bus| !bus.armed.is_empty() || bus.hold > 0 || bus.mute > 0);
+        serial || !self.can_armed.is_empty() || !self.can.disturbances.is_empty()
+    }
+
+    fn inject_serial(&mut self, fault: Fault, line: usize) -> Moment {
+        let (now, span) = (self.now, self.random.between(MILLIS, LONGEST));
+        let byte = self.lines[line].line.byte_time();
+        let index = self.random.index(8);
+        match fault {
+            Fault::RequestBits => {
+                let bits = (0..self.random.between(1, 3)).fold(0, |bits, _| bits | 1 << self.random.below(8));
+                self.lines[line].line.tamper(BRIDGE, index, Tamper::Flip(bits));
+            }
+            Fault::RequestByteLost => self.lines[line].line.tamper(BRIDGE, index, Tamper::Lose),
+            Fault::RequestByteDoubled => self.lines[line].line.tamper(BRIDGE, index, Tamper::Double),
+            Fault::DriverLate => self.lines[line].mute = self.random.between(1, 5 * byte),
+            Fault::DriverHeld => self.lines[line].hold = self.random.between(byte, 5 * MILLIS),
+            Fault::Noise => {
+                let noise: Vec<u8> = (0..self.random.between(1, 300)).map(|_| self.random.byte()).collect();
+                let end = now.after(noise.len() as u64 * byte);
+                self.lines[line].noise.extend(noise);
+                self.enter_noise(line, now);
+                return end;
+            }
+            Fault::LineCut | Fault::LineBreak => {
+                if fault == Fault::LineBreak {
+                    self.lines[line].noise.push(0);
+                    self.enter_noise(line, now);
+                }
+                let end = now.after(span);
+                // the break itself is heard
+                let cut = if fault == Fault::LineBreak { now.after(byte) } else { now };
+                self.cut(line, cut, end);
+                return end;
+            }
+            Fault::DeviceDead => {
+                let device = self.random.index(self.lines[line].devices.len());
+                let end = now.after(span);
+                self.lines[line].devices[device].absent = end;
+                return end;
+            }
+            Fault::DeviceBabbles => {
+                let end = now.after(span);
+                let bytes = span / byte;
+                let noise: Vec<u8> = (0..bytes).map(|_| self.random.byte()).collect();
+                self.lines[line].noise.extend(noise);
+                self.enter_noise(line, now);
+                return end;
+            }
+            _ => self.lines[line].armed.push_back(fault),
+        }
+        now
+    }
+
+    fn cut(&mut self, line: usize, from: Moment, end: Moment) {
+        self.lines[line].line.cut(from, end);
+    }
+
+    fn inject_can(&mut self, fault: Fault) -> Moment {
+        let (now, span) = (self.now, self.random.between(MILLIS, LONGEST));
+        let sender = self.random.index(1 + self.nodes.len());
+        let intruder = self.nodes.len() + 1;
+        let own = self.settings.network.port(jointbus_mcu_bridge::engine::config::Port::Can).node;
+        match fault {
+            Fault::CanBit => {
+                let at = self.random.between(1, 120);
+                self.can.disturbances.push_back((sender, Disturbance::Bit(at)));
+            }
+            Fault::CanBusOff => {
+                let at = self.random.between(1, 60);
+                let bits = std::iter::repeat_n((BRIDGE, Disturbance::Bit(at)), TO_BUS_OFF);
+                self.can.disturbances.extend(bits);
+            }
+            Fault::CanFrameLost => self.can.disturbances.push_back((sender, Disturbance::Lost)),
+            // the bridge's own frame arriving twice would be a command carried out twice, and nobody's fault but CAN's
+            Fault::CanFrameDoubled => {
+                self.can.disturbances.push_back((sender.max(1), Disturbance::Doubled));
+            }
+            Fault::CanNoAcknowledgement => {
+                let all: Vec<usize> = (0..self.nodes.len()).collect();
+                self.darken(&all, now.after(span));
+                return now.after(span);
+            }
+            Fault::CanDeviceDead => {
+                let node = self.random.index(self.nodes.len());
+                self.darken(&[node], now.after(span));
+                return now.after(span);
+            }
+            Fault::CanDominant => {
+                let end = now.after(span);
+                self.hold_can(end);
+                return end;
+            }
+            Fault::CanForeignTraffic | Fault::CanStandardFrames | Fault::CanForeignTransfer => {
+                let frames = self.foreign_frames(fault, own);
+                let end = now.after(self.can.bits(160) * frames.len() as u64);
+                self.can.controllers[intruder].outbox.extend(frames);
+                self.move_can();
+                return end;
+            }
+            _ => self.can_armed.push_back(fault),
+        }
+        now
+    }
+
+    /// Frames of nodes that the bridge does not know.
+    fn foreign_frames(&mut self, fault: Fault, own: u8) -> Vec<Frame> {
+        let mut data = [0; 40];
+        data.iter_mut().for_each(|byte| *byte = self.random.byte());
+        match fault {
+            Fault::CanStandardFrames => (0..self.random.between(1, 20))
+                .filter_map(|_| {
+                    Frame::data_frame(Id::Standard(self.random.below(1 << 11) as u16), &data[..8]).ok()
+                })
+                .collect(),
+            Fault::CanForeignTraffic => (0..self.random.between(10, 300))
+                .filter_map(|_| {
+                    // from node 0x40 and up to node 0x60 and up, all kinds of frames
+                    let id = 0x0040_6000 | (self.random.next() as u32 & 0x001F_1FFF);
+                    let length = self.random.index(9);
+                    Frame::data_frame(Id::Extended(id), &data[..length]).ok()
+                })
+                .collect(),
+            _ => {
+                // what a reply looks like, but from a node that was not asked
+                data[..2].copy_from_slice(&[0x03, 18]);
+                let length = self.random.pick(&[2usize, 20, 40]);
+                let source = 0x40 + self.random.below(8) as u8;
+                segment(source, own, &data[..length]).map(Iterator::collect).unwrap_or_default()
+            }
+        }
+    }
+
+    /// Holds the CAN bus dominant until `end`.
+    fn hold_can(&mut self, end: Moment) {
+        if let Some(victim) = self.can.hold_dominant(self.now, end) {
+            self.failed_frame(victim);
+        }
+        // the bus is looked at again when it is idle
+        self.can_looks_again(end.after(20 * MICROS));
+    }
+}

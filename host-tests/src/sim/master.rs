@@ -1,0 +1,542 @@
+//! The host: what it has asked, what it got, and whether that belongs together.
+
+use super::moment::{MILLIS, Moment, Nanos};
+use super::question::{Fit, Question};
+use super::station::SerialDevice;
+use super::world::World;
+use crate::devices::Order;
+use jointbus_mcu_bridge::engine::config::{Network, Port, Protocol, Route};
+use jointbus_protocol::can::{Frame, Id};
+use jointbus_protocol::checksum;
+use jointbus_protocol::nst::can::{FrameType, Identifier, READ_MAX, WRITE_MAX};
+use jointbus_protocol::nst::{SAMPLE_LENGTH, register};
+use jointbus_protocol::time::Instant;
+use std::collections::HashMap;
+
+/// The main loop takes notice of a time limit so much later at most: a tick and its latency.
+const NOTICED: Nanos = MILLIS / 4;
+
+/// Time that a frame on CAN may take that was begun in time.
+const FRAME: Nanos = MILLIS / 5;
+
+/// What was counted in a run.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Requests that the bridge had to accept.
+    pub asked: u64,
+    /// Answers that belong to one of them; a device's exception is one.
+    pub answered: u64,
+    /// Exceptions 06 and 0B, by which the bridge says that there is no answer.
+    pub refused: u64,
+    /// NST requests that ended with silence.
+    pub silent: u64,
+    /// Requests to units that no route serves.
+    pub unknown: u64,
+    /// Writes and commands that devices carried out.
+    pub executed: u64,
+    /// Frames of the bridge on RS485, and on CAN.
+    pub sent: [u64; 2],
+    /// Answers that fit nothing, on a bus where bytes were garbled at that time: the CRC was right by coincidence.
+    pub coincidences: u64,
+    /// What must not happen, the first few in words.
+    pub violations: Vec<String>,
+    /// How many there were.
+    pub violated: u64,
+}
+
+impl Tally {
+    /// Words are kept of so many.
+    const KEPT: usize = 5;
+
+    /// Counts what must not happen.
+    pub fn violation(&mut self, now: Moment, what: impl FnOnce() -> String) {
+        self.violated += 1;
+        if self.violations.len() < Self::KEPT {
+            self.violations.push(format!("{:.6} s: {}", now.as_nanos() as f64 / 1e9, what()));
+        }
+    }
+
+    /// Adds another run's.
+    pub fn add(&mut self, other: &Self) {
+        self.asked += other.asked;
+        self.answered += other.answered;
+        self.refused += other.refused;
+        self.silent += other.silent;
+        self.unknown += other.unknown;
+        self.executed += other.executed;
+        self.sent[0] += other.sent[0];
+        self.sent[1] += other.sent[1];
+        self.coincidences += other.coincidences;
+        self.violated += other.violated;
+        let room = Self::KEPT.saturating_sub(self.violations.len());
+        self.violations.extend(other.violations.iter().take(room).cloned());
+    }
+}
+
+/// A request without an answer so far.
+#[derive(Debug, Clone)]
+struct Asked {
+    question: Question,
+    /// Function code onward.
+    body: Vec<u8>,
+    /// When the bridge had it.
+    at: Moment,
+    /// When it is too late to send it.
+    expires: Moment,
+    /// When it is too late for an answer.
+    over: Moment,
+    /// Times that the bridge has sent it.
+    sent: u8,
+    /// A later request to the same unit has been answered.
+    overtaken: bool,
+}
+
+/// A write on its way, or done.
+#[derive(Debug, Clone, Copy, Default)]
+struct Written {
+    /// Devices that carried it out, a bit each.
+    by: u64,
+    broadcast: bool,
+}
+
+/// Requests to one unit.
+#[derive(Debug, Default)]
+struct Unit {
+    open: Vec<Asked>,
+    /// Exceptions that name nothing but the function code: how many of each that still stand for an open request.
+    exceptions: HashMap<u8, usize>,
+    /// When the newest answer was measured.
+    measured: Instant,
+    /// Commands that were asked and not carried out yet, by function code.
+    commands: HashMap<u8, u64>,
+}
+
+/// The host.
+#[derive(Debug)]
+pub struct Master {
+    network: Network,
+    units: Vec<Unit>,
+    written: HashMap<u32, Written>,
+    incoming: Vec<u8>,
+    /// When something on that port was garbled last.
+    garbled: HashMap<usize, Moment>,
+    /// Polling slots read samples as well.
+    pub polls: bool,
+    /// What was counted.
+    pub tally: Tally,
+    /// Requests that may still be answered.
+    pub open: usize,
+}
+
+impl Master {
+    /// A host of a bridge with these routes.
+    #[must_use]
+    pub fn new(network: &Network) -> Self {
+        Self {
+            network: *network,
+            units: (0..=u8::MAX).map(|_| Unit::default()).collect(),
+            written: HashMap::new(),
+            incoming: Vec::new(),
+            garbled: HashMap::new(),
+            polls: false,
+            tally: Tally::default(),
+            open: 0,
+        }
+    }
+
+    /// Notes a request whose last byte reaches the bridge at `at`.
+    ///
+    /// # Panics
+    /// Where no route serves the unit.
+    pub fn ask(&mut self, unit: u8, question: Question, at: Moment) {
+        let Some((_, route)) = self.network.route(unit) else { panic!("no route to unit {unit}") };
+        let frame = question.frame(unit);
+        let expires = at.after(u64::from(route.time_to_live_ms) * MILLIS + NOTICED);
+        let asked = Asked {
+            question,
+            body: frame[1..frame.len() - checksum::CRC_LENGTH].to_vec(),
+            at,
+            expires,
+            over: expires.after(answer_time(&question, route)),
+            sent: 0,
+            overtaken: false,
+        };
+        if let Some(token) = question.token() {
+            self.written.insert(token, Written::default());
+        }
+        let place = &mut self.units[usize::from(unit)];
+        if matches!(question, Question::Command { .. }) {
+            *place.commands.entry(frame[1]).or_default() += 1;
+        }
+        place.open.push(asked);
+        self.open += 1;
+        self.tally.asked += 1;
+    }
+
+    /// Notes a broadcast write of a number that is used once.
+    pub fn broadcast(&mut self, token: u32) {
+        self.written.insert(token, Written { by: 0, broadcast: true });
+    }
+
+    /// Whether the same question to the same unit may still be answered: then it could not be told whose an answer is.
+    #[must_use]
+    pub fn is_open(&self, unit: u8, question: &Question) -> bool {
+        self.units[usize::from(unit)].open.iter().any(|asked| asked.question == *question)
+    }
+
+    /// When it is too late for an answer to the newest request of a unit; `None` where there is none open.
+    #[must_use]
+    pub fn patience(&self, unit: u8) -> Option<Moment> {
+        self.units[usize::from(unit)]
+            .open
+            .iter()
+            .filter(|asked| !asked.overtaken)
+            .map(|asked| asked.over)
+            .max()
+    }
+
+    /// Takes a byte from the bridge; the unit whose answer that completes.
+    pub fn hear(&mut self, byte: u8, world: &World<'_>) -> Option<u8> {
+        self.incoming.push(byte);
+        let unit = self.incoming[0];
+        let nst = self.network.route(unit).is_some_and(|(_, route)| route.protocol.is_nst());
+        let length = reply_length(&self.incoming, nst)?;
+        if self.incoming.len() < length {
+            return None;
+        }
+        let frame = std::mem::take(&mut self.incoming);
+        let now = world.now();
+        match checksum::verify(&frame) {
+            Some(content) => self.answered(unit, &content[1..], world),
+            None => self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}")),
+        }
+        Some(unit)
+    }
+
+    fn answered(&mut self, unit: u8, reply: &[u8], world: &World<'_>) {
+        let now = world.now();
+        if let [function, code] = *reply
+            && function & 0x80 != 0
+            && code != 2
+        {
+            return self.exception(unit, function & 0x7F, code, now);
+        }
+        let remote = self.network.route(unit).map_or(0, |(_, route)| route.remote_of(unit));
+        let place = &mut self.units[usize::from(unit)];
+        let measured = place.measured;
+        let mut found = None;
+        let mut why = String::new();
+        for (index, asked) in place.open.iter().enumerate() {
+            let fresh = |moment: Instant| moment >= asked.at.instant() && moment > measured;
+            let done = |token| self.written.get(&token).is_some_and(|written| written.by != 0);
+            match asked.question.fit(remote, reply) {
+                _ if asked.overtaken => {}
+                Fit::Right if !asked.question.token().is_none_or(done) => {
+                    why = ", which nobody carried out".to_owned();
+                }
+                Fit::Right => found = Some((index, None)),
+                Fit::At(moment) if fresh(moment) => found = Some((index, Some(moment))),
+                Fit::At(moment) => why = format!(", measured at {} us", moment.as_micros()),
+                Fit::Inputs => {
+                    let moment =
+                        told_inputs(world, remote, &asked.question, reply, asked.at.instant(), measured);
+                    found = moment.map(|moment| (index, Some(moment)));
+                }
+                Fit::Wrong => {}
+            }
+            if found.is_some() {
+                break;
+            }
+        }
+        let Some((index, moment)) = found else {
+            let port = self.network.route(unit).map_or(0, |(_, route)| port_of(route));
+            let garbled = self.garbled.get(&port).is_some_and(|at| now.since(*at) < 1000 * MILLIS);
+            // a device never says such a thing by itself
+            if garbled && !is_genuine(remote, reply) {
+                self.tally.coincidences += 1;
+            } else {
+                let open: Vec<_> = place.open.iter().map(|asked| asked.question).collect();
+                self.tally.violation(now, || {
+                    format!("wrong answer from unit {unit}: {reply:02x?}{why}; open: {open:?}")
+                });
+            }
+            return;
+        };
+        place.measured = moment.unwrap_or(measured);
+        let asked = place.open.remove(index);
+        self.open -= 1;
+        // requests of one unit keep their order: those before it got no answer
+        place.open.iter_mut().take(index).for_each(|earlier| earlier.overtaken = true);
+        settle(place, &mut self.open);
+        self.tally.answered += 1;
+        let question = asked.question;
+        if now > asked.over {
+            self.tally.violation(now, || format!("unit {unit} answered {question:?} too late"));
+        }
+    }
+
+    fn exception(&mut self, unit: u8, function: u8, code: u8, now: Moment) {
+        let place = &mut self.units[usize::from(unit)];
+        let open = place.open.iter().filter(|asked| asked.body.first() == Some(&function)).count();
+        let count = place.exceptions.entry(function).or_default();
+        *count += 1;
+        if *count > open {
+            *count -= 1;
+            self.tally.violation(now, || {
+                format!("unit {unit}: exception {code:02x} to function {function:02x} that nobody asked")
+            });
+            return;
+        }
+        match code {
+            0x06 | 0x0B => self.tally.refused += 1,
+            _ => self.tally.answered += 1,
+        }
+        settle(place, &mut self.open);
+    }
+
+    /// Forgets what can no longer be answered.
+    pub fn forget(&mut self, now: Moment) {
+        for (unit, place) in (0u8..).zip(&mut self.units) {
+            if place.open.iter().all(|asked| now <= asked.over) {
+                continue;
+            }
+            let nst = self.network.route(unit).is_some_and(|(_, route)| route.protocol.is_nst());
+            let before = place.open.len();
+            if nst {
+                place.open.retain(|asked| now <= asked.over);
+                self.tally.silent += (before - place.open.len()) as u64;
+            } else {
+                // Modbus is always answered
+                let (tally, exceptions) = (&mut self.tally, &mut place.exceptions);
+                place.open.retain(|asked| {
+                    let keep = now <= asked.over;
+                    let excused = exceptions.get_mut(&asked.body[0]).filter(|count| **count > 0);
+                    if let Some(count) = excused.filter(|_| !keep) {
+                        *count -= 1;
+                    } else if !keep {
+                        tally.violation(now, || {
+                            format!("unit {unit} left {:?} without an answer", asked.question)
+                        });
+                    }
+                    keep
+                });
+            }
+            self.open -= before - place.open.len();
+        }
+    }
+
+    /// The bridge has sent a frame onto an RS485 line.
+    pub fn overhears(&mut self, port: Port, frame: &[u8], start: Moment, now: Moment) {
+        self.tally.sent[0] += 1;
+        let Some((&remote, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else {
+            return self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}"));
+        };
+        if remote == 0 || remote == u8::MAX {
+            return;
+        }
+        self.passes(port, remote, body, start, now, |asked| asked.body == body);
+    }
+
+    /// The bridge has sent a frame on CAN.
+    pub fn overhears_frame(&mut self, frame: &Frame, start: Moment, now: Moment) {
+        self.tally.sent[1] += 1;
+        let Id::Extended(raw) = frame.id() else { return };
+        let Some(identifier) = Identifier::from_raw(raw) else { return };
+        let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
+        let [function, high, low, length, ..] = *frame.payload();
+        if !starts || identifier.destination == u8::MAX {
+            return;
+        }
+        let first = u16::from_be_bytes([high, low]);
+        let head = [function, high, low, length];
+        // the number of a write follows its header
+        let payload = *frame.payload();
+        let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
+        self.passes(Port::Can, identifier.destination, &head, start, now, |asked| {
+            let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
+                return false;
+            };
+            let Some(moved) = first.checked_sub(u16::from_be_bytes([high, low])) else { return false };
+            let rest = u16::from(whole).checked_sub(moved);
+            let same = moved > 0 || function != 0x10 || asked.body.get(..8) == Some(&payload);
+            asked_function == function
+                && same
+                && moved % most as u16 == 0
+                && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
+        });
+    }
+
+    /// A frame goes to a device: somebody must have asked for it, and not too long ago.
+    fn passes(
+        &mut self,
+        port: Port,
+        remote: u8,
+        head: &[u8],
+        start: Moment,
+        now: Moment,
+        is_it: impl Fn(&Asked) -> bool,
+    ) {
+        let sample = [0x03, 0x02, 0x00, SAMPLE_LENGTH as u8];
+        debug_assert_eq!(register::DATA.first, 0x0200);
+        let unit = self.network.routes.iter().find_map(|row| {
+            let mine = row.is_used() && port_of(row) == port.index();
+            let unit = row.first_unit.wrapping_add(remote.wrapping_sub(row.first_remote));
+            (mine && row.serves(unit)).then_some(unit)
+        });
+        let asked = unit.and_then(|unit| {
+            let open = &mut self.units[usize::from(unit)].open;
+            open.iter_mut().find(|asked| !asked.overtaken && is_it(asked))
+        });
+        let Some(asked) = asked else {
+            if !(self.polls && head == sample) {
+                self.tally
+                    .violation(now, || format!("{port:?}, device {remote}: nobody asked for {head:02x?}"));
+            }
+            return;
+        };
+        // of a split transfer the first part counts
+        let first_part = head.get(1..3) == asked.body.get(1..3);
+        let limit = if port == Port::Can { asked.expires.after(FRAME) } else { asked.expires };
+        let question = asked.question;
+        if first_part && start > limit {
+            self.tally.violation(now, || {
+                format!(
+                    "{port:?}, device {remote}: {question:?} sent {} us after its time to live",
+                    start.since(limit) / 1000
+                )
+            });
+        }
+        asked.sent += u8::from(first_part);
+        let again = asked.sent > 1 && !question.is_read();
+        if again {
+            self.tally.violation(now, || format!("{port:?}, device {remote}: {question:?} sent again"));
+        }
+    }
+
+    /// A device has carried out a write or a command.
+    pub fn ordered(&mut self, port: Port, address: u8, order: &Order, now: Moment) {
+        self.tally.executed += 1;
+        if order.value == 0 {
+            let unit = self.network.routes.iter().find(|row| row.is_used() && port_of(row) == port.index());
+            let unit =
+                unit.map_or(0, |row| row.first_unit.wrapping_add(address.wrapping_sub(row.first_remote)));
+            let left = self.units[usize::from(unit)].commands.entry(order.function).or_default();
+            if *left == 0 {
+                self.tally.violation(now, || {
+                    format!("unit {unit} carried out {order:x?}, which nobody asked, or twice")
+                });
+            }
+            *left = left.saturating_sub(1);
+            return;
+        }
+        let bit = 1 << (port.index() * 16 + usize::from(address % 16));
+        match self.written.get_mut(&order.value) {
+            None => self
+                .tally
+                .violation(now, || format!("{port:?}, device {address}: nobody asked for {order:x?}")),
+            Some(written) => {
+                let again = written.by & bit != 0 || (written.by != 0 && !written.broadcast);
+                written.by |= bit;
+                if again {
+                    self.tally
+                        .violation(now, || format!("{port:?}, device {address}: {order:x?} a second time"));
+                }
+            }
+        }
+    }
+
+    /// Something on a line was not heard as it was sent.
+    pub fn garbled(&mut self, port: Port, now: Moment) {
+        self.garbled.insert(port.index(), now);
+    }
+}
+
+/// Open requests that exceptions account for are done, once there are as many.
+fn settle(place: &mut Unit, open: &mut usize) {
+    let before = place.open.len();
+    for (function, count) in &mut place.exceptions {
+        let of_it = |asked: &Asked| asked.body.first() == Some(function);
+        if *count > 0 && place.open.iter().filter(|asked| of_it(asked)).count() <= *count {
+            place.open.retain(|asked| !of_it(asked));
+            *count = 0;
+        }
+    }
+    *open -= before - place.open.len();
+}
+
+/// When a module told these inputs, if it did since the question and after the last answer.
+fn told_inputs(
+    world: &World<'_>,
+    remote: u8,
+    question: &Question,
+    reply: &[u8],
+    since: Instant,
+    measured: Instant,
+) -> Option<Instant> {
+    let SerialDevice::Station(station) = &world.lines[1].devices.first()?.device else { return None };
+    let values = reply.get(2..)?;
+    let told = station.told().between(since, world.now().instant());
+    let mut fitting = told.filter(|(at, inputs)| {
+        let channels = inputs.analog.get(question.channels()).unwrap_or(&[]);
+        let bytes = channels.iter().flat_map(|value| value.to_be_bytes());
+        *at > measured && inputs.unit == remote && bytes.eq(values.iter().copied())
+    });
+    fitting.next().map(|(at, _)| *at)
+}
+
+/// Whether a reply is one that this device gives to some question of ours.
+fn is_genuine(remote: u8, reply: &[u8]) -> bool {
+    match reply {
+        [0x03, count, data @ ..] => {
+            let sample = matches!(Question::Sample { length: *count }.fit(remote, reply), Fit::At(_));
+            let pattern = super::station::PATTERN.clone().any(|register| {
+                let question = Question::Pattern { register, length: *count };
+                question.fit(remote, reply) == Fit::Right
+            });
+            sample || (pattern && data.len() >= 3)
+        }
+        // acknowledgements look all alike
+        _ => true,
+    }
+}
+
+/// The port behind which the devices of a route are.
+fn port_of(route: &Route) -> usize {
+    use jointbus_mcu_bridge::engine::config::Bus;
+    match route.bus {
+        Bus::Rs485A => Port::Rs485A.index(),
+        Bus::Rs485B => Port::Rs485B.index(),
+        Bus::Can => Port::Can.index(),
+        Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Port::Host.index(),
+    }
+}
+
+/// The longest that an answer can take behind the time to live: attempts, time on the wire, replies before it.
+fn answer_time(question: &Question, route: &Route) -> Nanos {
+    const WIRE: Nanos = 300 * MILLIS;
+    let (timeout, attempts) = match question.is_read() {
+        true => (route.read_timeout_ms, u64::from(route.read_retries) + 1),
+        false => (route.write_timeout_ms, 1),
+    };
+    let transfers = question.transfers(route);
+    transfers * attempts * (u64::from(timeout) * MILLIS) + attempts * WIRE
+}
+
+/// Length of the bridge's frame that starts with `prefix`; `None` while it can't be told.
+fn reply_length(prefix: &[u8], nst: bool) -> Option<usize> {
+    let function = *prefix.get(1)?;
+    Some(match (nst, function) {
+        (true, 0x03 | 0x15) => 5 + usize::from(*prefix.get(2)?),
+        (true, _) | (false, 0x80..) => 5,
+        (false, 1..=4) => 5 + usize::from(*prefix.get(2)?),
+        (false, _) => 8,
+    })
+}
+
+/// Whether a route speaks NST.
+#[must_use]
+pub(super) fn is_nst(network: &Network, unit: u8) -> bool {
+    network
+        .route(unit)
+        .is_some_and(|(_, route)| matches!(route.protocol, Protocol::Nst | Protocol::NstOverCan))
+}

@@ -1,0 +1,73 @@
+//! A bridge, its host and its devices in virtual time, with exact wire timing and everything that can go wrong.
+//!
+//! A [`World`] is a discrete-event simulation around the engine that the firmware runs. Nothing in it reads a clock, and
+//! everything random follows from one seed: a run is repeated bit by bit, in a small part of the time that it tells.
+//!
+//! | simulated | how |
+//! |---|---|
+//! | UART characters | start, data, parity and stop bits at the port's rate, one behind the other |
+//! | the host's line | full duplex |
+//! | RS485 lines | half duplex: two drivers at once destroy each other's bytes, a driver that is held too long destroys the answer, a byte without its driver is not heard; all devices hear each other; echo if the port is set so |
+//! | the CAN bus | frames at their stuffed length with intermission; arbitration by identifier, acknowledgement, error frames and retransmission, transmit errors up to error passive and bus-off, 128 times 11 recessive bits out of it |
+//! | the controller | three mailboxes in the order of the requests, abort, the acceptance filter |
+//! | the firmware | the queues between interrupts and main loop (its own code), the main loop's order, its latency, its tick of 100 us |
+//! | devices | those of [`devices`](crate::devices), with reply times from a distribution and with bad habits |
+//! | faults | [`Fault`], each kind by name |
+//!
+//! Not simulated: single bits and noise margins, framing errors as the UART reports them, receive FIFO of the controller
+//! (its interrupt is never late), controllers that send equal identifiers at once, the flash store, the watchdog.
+//!
+//! Not to be held against the bridge, and not simulated: a device that repeats a reply of its own accord *later*, when a
+//! request of the same form is under way. These protocols number nothing; nobody could tell.
+//!
+//! [`Run`] puts a host into it that knows of every answer whether it belongs to its question, and sends faults;
+//! [`properties`] says what must hold. `cargo xtask soak` shows it over millions of requests, `cargo xtask sim --seed N`
+//! repeats one run, and `--pcap FILE` records it for Wireshark ([`Recorder`]).
+//!
+//! ```
+//! use jointbus_host_tests::sim::{Notice, Settings, World, MILLIS};
+//! use jointbus_mcu_bridge::io::serial::Queues;
+//!
+//! let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+//! let mut world = World::new(Settings::new(1), &mut queues);
+//! // the six axes of the sensor behind unit 16
+//! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0x79, 0xFA]);
+//! let (end, mut reply) = (world.now().after(20 * MILLIS), Vec::new());
+//! while let Some(notice) = world.next(end) {
+//!     if let Notice::HostHears(byte) = notice {
+//!         reply.push(byte);
+//!     }
+//! }
+//! assert_eq!((reply.len(), &reply[..3]), (23, &[16, 0x03, 0x12][..]));
+//! ```
+
+mod agenda;
+mod board;
+pub mod can_bits;
+pub mod can_wire;
+mod delay;
+mod fault;
+mod inject;
+pub mod line;
+mod master;
+mod moment;
+pub mod properties;
+mod question;
+mod random;
+mod recorder;
+mod run;
+mod settings;
+mod station;
+mod world;
+
+pub use delay::Delay;
+pub use fault::{Fault, Place};
+pub use master::{Master, Tally};
+pub use moment::{MICROS, MILLIS, Moment, Nanos, SECONDS};
+pub use question::{Fit, Question, Questions};
+pub use random::Random;
+pub use recorder::{Interface, Recorder};
+pub use run::{Manner, Plan, Run};
+pub use settings::Settings;
+pub use station::{CanStation, LAYOUT, MODULES, PATTERN, SCRATCH, SerialDevice, SerialStation, pattern};
+pub use world::{Notice, World};

@@ -1,0 +1,321 @@
+//! What the host asks, made so that the right answer can be told from every other one by its content.
+
+use super::random::Random;
+use super::station::{MODULES, PATTERN, SCRATCH, pattern};
+use jointbus_mcu_bridge::engine::config::{Bus, Network, Route};
+use jointbus_protocol::modbus::{self, FunctionCode, Range, rtu};
+use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
+use jointbus_protocol::time::Instant;
+
+/// First register of the analog inputs and of the analog outputs of a module.
+const ANALOG_INPUTS: u16 = 0x40;
+const ANALOG_OUTPUTS: u16 = 0x60;
+
+/// A register that no module has.
+const NOWHERE: u16 = 0x99;
+
+/// A question to one unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Question {
+    /// NST: registers that hold a pattern of their own.
+    Pattern {
+        /// First register.
+        register: u16,
+        /// How many.
+        length: u8,
+    },
+    /// NST: the six axes, which spell the moment of the reading.
+    Sample {
+        /// How many registers: those of the axes, and more.
+        length: u8,
+    },
+    /// NST: a write of a number that is used once.
+    Write {
+        /// First register.
+        register: u16,
+        /// Length of the data, four bytes at least.
+        length: u8,
+        /// The number.
+        token: u32,
+    },
+    /// NST: set zero, or clear zero, which can't be told apart from another of its kind.
+    Command {
+        /// Which of them.
+        set: bool,
+    },
+    /// Modbus: analog inputs, which spell the moment of the reading.
+    Inputs {
+        /// First channel.
+        first: u8,
+        /// How many.
+        count: u8,
+    },
+    /// Modbus 06: an analog output, to a number that is used once.
+    SetOne {
+        /// The channel.
+        channel: u8,
+        /// The number.
+        token: u16,
+    },
+    /// Modbus 16: two analog outputs, to a number that is used once.
+    SetTwo {
+        /// The first channel.
+        channel: u8,
+        /// The number.
+        token: u32,
+    },
+    /// Modbus: a register that does not exist.
+    Nowhere,
+    /// Modbus 08: the bridge returns a number.
+    Loopback {
+        /// The number.
+        token: u16,
+    },
+}
+
+/// How an answer fits a question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fit {
+    /// It is the answer.
+    Right,
+    /// It is the answer if it was measured at this moment, which was before the question or is used up otherwise.
+    At(Instant),
+    /// It is the answer if a module of the station had such inputs since the question.
+    Inputs,
+    /// It is not.
+    Wrong,
+}
+
+impl Question {
+    /// Whether it changes nothing.
+    #[must_use]
+    pub const fn is_read(&self) -> bool {
+        matches!(
+            self,
+            Self::Pattern { .. }
+                | Self::Sample { .. }
+                | Self::Inputs { .. }
+                | Self::Nowhere
+                | Self::Loopback { .. }
+        )
+    }
+
+    /// The number that is used once, if it is a write with one.
+    #[must_use]
+    pub const fn token(&self) -> Option<u32> {
+        match *self {
+            Self::Write { token, .. } | Self::SetTwo { token, .. } => Some(token),
+            Self::SetOne { token, .. } => Some(token as u32),
+            _ => None,
+        }
+    }
+
+    /// Transfers that it takes on CAN.
+    #[must_use]
+    pub fn transfers(&self, route: &Route) -> u64 {
+        match (route.bus, self) {
+            (Bus::Can, Self::Pattern { length, .. }) => u64::from(*length).div_ceil(can::READ_MAX as u64),
+            (Bus::Can, Self::Write { length, .. }) => u64::from(*length).div_ceil(can::WRITE_MAX as u64),
+            _ => 1,
+        }
+    }
+
+    /// The whole frame for `unit`.
+    ///
+    /// # Panics
+    /// Never: every question fits a frame.
+    #[must_use]
+    pub fn frame(&self, unit: u8) -> Vec<u8> {
+        let mut buffer = [0; rtu::FRAME_MAX];
+        let zero_points = |function| nst::Request::Command {
+            function,
+            register: register::ZERO_POINTS.first,
+            length: register::ZERO_POINTS.length as u8,
+        };
+        let mut data = [0xA5; nst::WRITE_DATA_MAX];
+        let in_nst = match *self {
+            Self::Pattern { register, length } => Some(nst::Request::read(register, length)),
+            Self::Sample { length } => Some(nst::Request::read(register::DATA.first, length)),
+            Self::Write { register, length, token } => {
+                data[..4].copy_from_slice(&token.to_be_bytes());
+                Some(nst::Request::Write { register, data: &data[..usize::from(length)] })
+            }
+            Self::Command { set: true } => Some(zero_points(nst::FunctionCode::SetZero)),
+            Self::Command { set: false } => Some(zero_points(nst::FunctionCode::ClearZero)),
+            _ => None,
+        };
+        if let Some(request) = in_nst {
+            let frame = serial::encode_request(unit, &request, &mut buffer);
+            return frame.unwrap_or_else(|_| unreachable!("it fits")).to_vec();
+        }
+        let [high, low] = match *self {
+            Self::Loopback { token } => token.to_be_bytes(),
+            _ => [0; 2],
+        };
+        let value = match *self {
+            Self::SetTwo { token, .. } => token.to_be_bytes(),
+            _ => [0; 4],
+        };
+        let loopback = [0, 0, high, low];
+        let request = match *self {
+            Self::Inputs { first, count } => modbus::Request::ReadInputRegisters(Range::new(
+                ANALOG_INPUTS + u16::from(first),
+                count.into(),
+            )),
+            Self::SetOne { channel, token } => modbus::Request::WriteSingleRegister {
+                address: ANALOG_OUTPUTS + u16::from(channel),
+                value: token,
+            },
+            Self::SetTwo { channel, .. } => modbus::Request::WriteMultipleRegisters {
+                range: Range::new(ANALOG_OUTPUTS + u16::from(channel), 2),
+                data: &value,
+            },
+            Self::Nowhere => modbus::Request::ReadInputRegisters(Range::new(NOWHERE, 1)),
+            _ => modbus::Request::Other { function: FunctionCode::from_code(8), data: &loopback },
+        };
+        rtu::encode_request(unit, &request, &mut buffer).unwrap_or_else(|_| unreachable!("it fits")).to_vec()
+    }
+
+    /// Whether a reply, from function code on, answers this question to the device at `remote`.
+    #[must_use]
+    pub fn fit(&self, remote: u8, reply: &[u8]) -> Fit {
+        let right = |fits: bool| if fits { Fit::Right } else { Fit::Wrong };
+        let request = self.frame(remote);
+        match (*self, reply) {
+            (Self::Sample { length }, [0x03, count, axes @ ..])
+                if length == *count && axes.len() == usize::from(length) =>
+            {
+                let sample =
+                    axes.first_chunk().map(|axes| Sample::decode(axes, SignEncoding::TwosComplement));
+                sample
+                    .and_then(|sample| crate::devices::motion::spelt_moment(&sample))
+                    .map_or(Fit::Wrong, Fit::At)
+            }
+            (Self::Pattern { register, length }, [0x03, count, data @ ..]) => {
+                let expected = (register..).map(|register| pattern(remote, register));
+                right(
+                    *count == length
+                        && data.len() == usize::from(length)
+                        && expected.zip(data).all(|(a, b)| a == *b),
+                )
+            }
+            (Self::Write { length, .. }, [0x10, count]) => right(*count == length),
+            (Self::Command { set }, [function, 24]) => right(*function == if set { 0x12 } else { 0x19 }),
+            (Self::Inputs { count, .. }, [0x04, bytes, data @ ..]) => {
+                if *bytes == 2 * count && data.len() == usize::from(*bytes) {
+                    Fit::Inputs
+                } else {
+                    Fit::Wrong
+                }
+            }
+            (Self::SetOne { .. } | Self::Loopback { .. }, reply) => {
+                right(request.get(1..request.len() - 2) == Some(reply))
+            }
+            (Self::SetTwo { .. }, reply) => right(request.get(1..6) == Some(reply)),
+            (Self::Nowhere, reply) => right(reply == [0x84, 2]),
+            _ => Fit::Wrong,
+        }
+    }
+
+    /// The channels that it reads, if it reads inputs.
+    #[must_use]
+    pub fn channels(&self) -> std::ops::Range<usize> {
+        match *self {
+            Self::Inputs { first, count } => usize::from(first)..usize::from(first) + usize::from(count),
+            _ => 0..0,
+        }
+    }
+}
+
+/// Makes up questions; no two that are open at once are alike.
+#[derive(Debug)]
+pub struct Questions {
+    random: Random,
+    token: u32,
+    register: u16,
+    units: Vec<u8>,
+    /// So many questions in a million are writes or commands.
+    pub writes: u64,
+    /// Longest reading of a pattern.
+    pub longest: u8,
+}
+
+impl Questions {
+    /// Questions to the sensors and modules that a bridge with these routes reaches, and to itself.
+    #[must_use]
+    pub fn new(network: &Network, sensors: u8, nodes: u8, mut random: Random) -> Self {
+        let mut units = Vec::new();
+        for row in network.routes.iter().filter(|row| row.is_used()) {
+            let count = match row.bus {
+                Bus::Can => nodes,
+                Bus::Rs485A => sensors,
+                Bus::Rs485B => MODULES as u8,
+                Bus::Bridge => 1,
+                Bus::LocalOutputs | Bus::LocalIo => 0,
+            };
+            units.extend((row.first_unit..).take(count.into()));
+        }
+        let token = 0x0100_0000 + (random.next() as u32 & 0x00FF_FFFF);
+        Self { random, token, register: PATTERN.start, units, writes: 300_000, longest: 200 }
+    }
+
+    /// Asks only these units.
+    pub fn only(&mut self, units: &[u8]) {
+        self.units = units.to_vec();
+    }
+
+    /// A unit and a question to it.
+    pub fn next(&mut self, network: &Network) -> (u8, Question) {
+        let unit = self.random.pick(&self.units);
+        (unit, self.for_unit(network, unit))
+    }
+
+    /// A question to this unit.
+    pub fn for_unit(&mut self, network: &Network, unit: u8) -> Question {
+        self.token = self.token.wrapping_add(0x1_0001);
+        let token = self.token;
+        let short = (token as u16).max(1);
+        let bus = network.route(unit).map(|(_, route)| (route.bus, route.protocol.is_nst()));
+        let write = self.random.chance(self.writes);
+        match bus {
+            Some((_, true)) if write => match self.random.below(8) {
+                0 => Question::Command { set: self.random.chance(500_000) },
+                1 => Question::Write { register: SCRATCH.start, length: 64, token },
+                _ => {
+                    let length = self.random.pick(&[4, 4, 8, 18]);
+                    let register =
+                        self.random.between(SCRATCH.start.into(), (SCRATCH.end - 18).into()) as u16;
+                    Question::Write { register, length, token }
+                }
+            },
+            Some((_, true)) => match self.random.below(3) {
+                0 => Question::Sample { length: SAMPLE_LENGTH as u8 + self.random.below(16) as u8 },
+                _ => {
+                    let length = match self.random.below(16) {
+                        0 => self.random.between(19, self.longest.max(19).into()) as u8,
+                        1..4 => 18,
+                        _ => self.random.pick(&[4, 5, 8]),
+                    };
+                    self.register += 1;
+                    if self.register + u16::from(length) > PATTERN.end {
+                        self.register = PATTERN.start;
+                    }
+                    Question::Pattern { register: self.register, length }
+                }
+            },
+            Some((Bus::Bridge, false)) => Question::Loopback { token: short },
+            _ if write => {
+                let channel = self.random.below(15) as u8;
+                match self.random.below(2) {
+                    0 => Question::SetOne { channel, token: short },
+                    _ => Question::SetTwo { channel, token },
+                }
+            }
+            _ if self.random.below(10) == 0 => Question::Nowhere,
+            _ => {
+                let count = self.random.pick(&[2, 2, 3, 8]);
+                Question::Inputs { first: self.random.below(16 - u64::from(count)) as u8, count }
+            }
+        }
+    }
+}

@@ -1,0 +1,448 @@
+//! A host that asks, faults that come, and what was counted in the end.
+
+use super::delay::Delay;
+use super::fault::{Fault, Place};
+use super::master::{Master, Tally, is_nst};
+use super::moment::{MICROS, MILLIS, Moment, Nanos};
+use super::question::{Question, Questions};
+use super::random::Random;
+use super::settings::Settings;
+use super::station::{flip_bits, reseal};
+use super::world::{Notice, World};
+use jointbus_mcu_bridge::engine::Counters;
+use jointbus_mcu_bridge::engine::config::{Network, Port};
+use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_protocol::deframe::STRAY_MAX;
+use jointbus_protocol::modbus::{self, Range, rtu};
+use jointbus_protocol::nst::serial::encode_request;
+use jointbus_protocol::{checksum, nst};
+
+/// Silence that ends a burst, and one that certainly does.
+const BURST_ENDS: Nanos = 20 * MILLIS;
+const SILENCE: Nanos = 21 * MILLIS;
+
+/// Alarm for the next request.
+const NEXT: u64 = u64::MAX;
+
+/// Whether the host waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Manner {
+    /// For each answer, for so many milliseconds at most; an answer may well come later.
+    Waits(u64),
+    /// For nothing: requests come one to so many microseconds apart.
+    Streams(u64),
+}
+
+/// What a run does.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// What is simulated.
+    pub settings: Settings,
+    /// Requests to be asked.
+    pub requests: u64,
+    /// Whether the host waits.
+    pub manner: Manner,
+    /// Kinds of fault that come.
+    pub faults: Vec<Fault>,
+    /// Chance of a fault before each request, in a million.
+    pub fault_rate: u64,
+}
+
+impl Plan {
+    /// The plan of a seed: everything from calm to rough, with all kinds of fault unless they are given.
+    #[must_use]
+    pub fn of_seed(seed: u64, requests: u64, kinds: Option<&[Fault]>) -> Self {
+        let mut random = Random::new(seed ^ 0x5EED);
+        let mut settings = Settings::new(seed);
+        let delay = |random: &mut Random| match random.below(3) {
+            0 => Delay::PROMPT,
+            1 => Delay::MOODY,
+            // up to three times the timeout of a read
+            _ => Delay::Tailed(random.between(100, 5000) * MICROS, 150 * MILLIS, 50_000),
+        };
+        settings.sensor_delay = delay(&mut random);
+        settings.node_delay = delay(&mut random);
+        if random.below(2) == 0 {
+            settings.station_delay = Delay::Tailed(2 * MILLIS, 600 * MILLIS, 20_000);
+        }
+        settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
+        let manner = match random.below(3) {
+            0 => Manner::Waits(random.pick(&[60, 200, 10_000])),
+            _ => Manner::Streams(random.pick(&[500, 3000, 20_000])),
+        };
+        let fault_rate = random.pick(&[3000, 20_000, 100_000]);
+        let faults = kinds.unwrap_or(Fault::ALL).to_vec();
+        Self { settings, requests, manner, faults, fault_rate }
+    }
+
+    /// Carries the plan out.
+    #[must_use]
+    pub fn run(self) -> Tally {
+        let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+        let mut run = Run::new(self, &mut queues);
+        run.to_the_end();
+        run.master.tally
+    }
+}
+
+/// A run.
+pub struct Run<'q> {
+    /// What is simulated.
+    pub world: World<'q>,
+    /// The host.
+    pub master: Master,
+    /// What it asks.
+    pub questions: Questions,
+    network: Network,
+    random: Random,
+    plan: Plan,
+    asked: u64,
+    /// When a host who waits goes on without an answer.
+    impatient: Moment,
+}
+
+impl<'q> Run<'q> {
+    /// A run at its beginning.
+    #[must_use]
+    pub fn new(plan: Plan, queues: &'q mut [Queues; 3]) -> Self {
+        let mut random = Random::new(plan.settings.seed ^ 0xA5C);
+        let network = plan.settings.network;
+        Self {
+            world: World::new(plan.settings.clone(), queues),
+            master: Master::new(&network),
+            questions: Questions::new(&network, plan.settings.sensors, plan.settings.nodes, random.fork()),
+            network,
+            random,
+            plan,
+            asked: 0,
+            impatient: Moment::default(),
+        }
+    }
+
+    /// Asks all of it, lets everything come to rest, and settles the account.
+    pub fn to_the_end(&mut self) {
+        self.world.set_alarm(self.world.now(), NEXT);
+        let mut waiting_for = None;
+        loop {
+            let far = self.world.now().after(100 * MILLIS);
+            // one who waits loses patience at a certain moment
+            let patience = waiting_for.and_then(|unit| self.master.patience(unit));
+            let end = patience.map_or(far, |at| far.min(at.after(1)).min(self.impatient));
+            match self.world.next(end) {
+                Some(Notice::Alarm(NEXT)) => waiting_for = self.next_request(),
+                Some(Notice::HostHears(byte)) => {
+                    let answered = self.master.hear(byte, &self.world);
+                    if answered.is_some() && waiting_for == answered {
+                        waiting_for = None;
+                        let pause = self.random.below(300 * MICROS);
+                        self.world.set_alarm(self.world.now().after(pause), NEXT);
+                    }
+                }
+                Some(notice) => self.notice(&notice),
+                None => {
+                    self.master.forget(self.world.now());
+                    if let Some(unit) = waiting_for
+                        && (self.master.patience(unit).is_none() || self.world.now() >= self.impatient)
+                    {
+                        waiting_for = None;
+                        self.world.set_alarm(self.world.now(), NEXT);
+                    }
+                    if self.asked >= self.plan.requests && self.master.open == 0 {
+                        break;
+                    }
+                }
+            }
+        }
+        self.settle(2000 * MILLIS);
+        self.account();
+    }
+
+    /// Lets time pass, in which nothing is asked.
+    pub fn settle(&mut self, span: Nanos) {
+        let end = self.world.now().after(span);
+        while let Some(notice) = self.world.next(end) {
+            match notice {
+                Notice::HostHears(byte) => {
+                    self.master.hear(byte, &self.world);
+                }
+                notice => self.notice(&notice),
+            }
+        }
+        self.master.forget(self.world.now());
+    }
+
+    /// Asks a question, and waits for the answer; whether one came.
+    pub fn ask_and_wait(&mut self, unit: u8, question: Question) -> bool {
+        let answered = self.master.tally.answered;
+        let at = self.world.host_sends(&question.frame(unit));
+        self.master.ask(unit, question, at);
+        while let Some(over) = self.master.patience(unit) {
+            match self.world.next(over.after(1)) {
+                Some(Notice::HostHears(byte)) => {
+                    self.master.hear(byte, &self.world);
+                }
+                Some(notice) => self.notice(&notice),
+                None => self.master.forget(self.world.now()),
+            }
+        }
+        self.master.tally.answered > answered
+    }
+
+    /// Takes notice of what the wires show.
+    pub fn notice(&mut self, notice: &Notice) {
+        let now = self.world.now();
+        match *notice {
+            Notice::SerialFrame { port, start } => {
+                self.master.overhears(port, self.world.sent_frame(port), start, now);
+            }
+            Notice::CanFrame { frame, start } => self.master.overhears_frame(&frame, start, now),
+            Notice::Ordered { port, address, order } => self.master.ordered(port, address, &order, now),
+            Notice::Garbled(port) => self.master.garbled(port, now),
+            Notice::HostHears(_) | Notice::Alarm(_) | Notice::BridgeHears(_) => {}
+        }
+    }
+
+    /// Sends the next request, or a fault of the host's line in place of it. The answer is the unit that a host who
+    /// waits is waiting for.
+    fn next_request(&mut self) -> Option<u8> {
+        if self.asked >= self.plan.requests {
+            return None;
+        }
+        self.asked += 1;
+        let faulty = !self.plan.faults.is_empty() && self.random.chance(self.plan.fault_rate);
+        let fault = faulty.then(|| self.random.pick(&self.plan.faults));
+        if let Some(fault) = fault.filter(|fault| fault.place() == Place::Host) {
+            let end = self.host_fault(fault);
+            self.world.set_alarm(end.after(SILENCE + self.random.below(MILLIS)), NEXT);
+            return None;
+        }
+        if let Some(fault) = fault {
+            self.world.inject(fault);
+        }
+        let (unit, question) = self.next_question();
+        let at = self.world.host_sends(&question.frame(unit));
+        self.master.ask(unit, question, at);
+        match self.plan.manner {
+            Manner::Waits(patience) => {
+                self.impatient = at.after(patience * MILLIS);
+                return Some(unit);
+            }
+            Manner::Streams(longest) => {
+                let pause = self.random.between(1, longest) * MICROS;
+                self.world.set_alarm(at.after(pause), NEXT);
+            }
+        }
+        None
+    }
+
+    /// A question that is not open yet.
+    fn next_question(&mut self) -> (u8, Question) {
+        loop {
+            let (unit, question) = self.questions.next(&self.network);
+            if !self.master.is_open(unit, &question) {
+                return (unit, question);
+            }
+        }
+    }
+
+    /// Brings a fault of the host's line about; when its last byte ends.
+    pub fn host_fault(&mut self, fault: Fault) -> Moment {
+        let (unit, question) = self.next_question();
+        let frame = question.frame(unit);
+        let cut = 1 + self.random.index(frame.len() - 1);
+        match fault {
+            Fault::HostShortPause => {
+                self.world.host_sends(&frame[..cut]);
+                self.world.host_pauses(self.random.between(1, 15) * MILLIS);
+                let at = self.world.host_sends(&frame[cut..]);
+                self.master.ask(unit, question, at);
+                at
+            }
+            Fault::HostGlued => {
+                let at = self.world.host_sends(&frame);
+                self.master.ask(unit, question, at);
+                let (unit, question) = self.next_question();
+                let at = self.world.host_sends(&question.frame(unit));
+                self.master.ask(unit, question, at);
+                at
+            }
+            Fault::HostStrayBytes => {
+                let bytes = self.harmless(
+                    |run| {
+                        let stray = 1 + run.random.index(STRAY_MAX);
+                        let stray: Vec<u8> = (0..stray).map(|_| run.random.byte()).collect();
+                        [&stray[..], &frame].concat()
+                    },
+                    &frame,
+                );
+                let at = self.world.host_sends(&bytes);
+                // taken when the line has been silent
+                self.master.ask(unit, question, at.after(BURST_ENDS));
+                at
+            }
+            Fault::HostLongPause => {
+                let bytes = self.harmless(|_| frame[cut..].to_vec(), &[]);
+                self.spoilt(&frame[..cut]);
+                self.world.host_pauses(SILENCE + MILLIS);
+                self.spoilt(&bytes)
+            }
+            // their CRC is right, and nobody takes them for all that
+            Fault::HostUnknownUnit | Fault::HostUnknownFunction => {
+                let bytes = self.broken(fault, &frame);
+                self.spoilt(&bytes)
+            }
+            _ => {
+                let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
+                self.spoilt(&bytes)
+            }
+        }
+    }
+
+    /// Sends bytes in which there is no request.
+    fn spoilt(&mut self, bytes: &[u8]) -> Moment {
+        let unit = bytes.first().copied().unwrap_or(0);
+        let known = unit == 0 || unit == u8::MAX || self.network.route(unit).is_some();
+        self.master.tally.unknown += u64::from(!known && !bytes.is_empty());
+        self.world.host_sends(bytes)
+    }
+
+    /// Bytes in which no CRC is right by coincidence, except that of `meant` at the end and of what is hidden too deep.
+    fn harmless(&mut self, mut make: impl FnMut(&mut Self) -> Vec<u8>, meant: &[u8]) -> Vec<u8> {
+        loop {
+            let bytes = make(self);
+            let coincidence = (0..=STRAY_MAX).any(|start| {
+                let end_of = |end: usize| bytes.get(start..end).and_then(checksum::verify).is_some();
+                let is_meant = |end: usize| end == bytes.len() && bytes.get(start..) == Some(meant);
+                (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
+            });
+            // a broadcast behind stray bytes is right, and not to be taken
+            let broadcast = bytes.iter().take(STRAY_MAX + 1).any(|byte| [0, u8::MAX].contains(byte));
+            if !coincidence || (broadcast && meant.is_empty() && self.random.chance(200_000)) {
+                return bytes;
+            }
+        }
+    }
+
+    /// What a fault makes of a request.
+    fn broken(&mut self, fault: Fault, frame: &[u8]) -> Vec<u8> {
+        let mut bytes = frame.to_vec();
+        let end = bytes.len() - 1;
+        let mut noise = |least, most| -> Vec<u8> {
+            (0..self.random.between(least, most)).map(|_| self.random.byte()).collect()
+        };
+        match fault {
+            Fault::HostGarbage => bytes = noise(1, 300),
+            Fault::HostOverlong => {
+                bytes.truncate(2);
+                bytes.extend(noise(260, 600));
+            }
+            Fault::HostCut => bytes.truncate(1 + self.random.index(end)),
+            Fault::HostWrongCrc => bytes[end] ^= 1 << self.random.below(8),
+            Fault::HostBits => flip_bits(&mut bytes, &mut self.random),
+            Fault::HostUnknownUnit => {
+                bytes[0] = 100 + self.random.below(100) as u8;
+                reseal(&mut bytes);
+            }
+            Fault::HostUnknownFunction => {
+                let unit = self.random.between(16, 20) as u8;
+                let function = self.random.pick(&[0x00, 0x01, 0x04, 0x06, 0x11, 0x7F, 0x83]);
+                bytes = vec![unit, function, 0, 0, 4, 0, 0];
+                reseal(&mut bytes);
+            }
+            Fault::HostStrayBroadcast => {
+                let stray = 1 + self.random.index(STRAY_MAX);
+                bytes = (0..stray).map(|_| self.random.between(1, 254) as u8).collect();
+                let unit = self.random.pick(&[0, u8::MAX]);
+                bytes.extend(hidden_command(unit, &mut self.random));
+            }
+            Fault::HostHiddenCommand | Fault::HostHiddenBehind => {
+                bytes = self.hiding(fault == Fault::HostHiddenBehind);
+            }
+            _ => {}
+        }
+        bytes
+    }
+
+    /// A write that is wrong, with a command in its data that is right.
+    fn hiding(&mut self, behind: bool) -> Vec<u8> {
+        let inner = self.random.pick(&[1, 3, 16, 18, 32, 33, 247]);
+        let mut data: Vec<u8> = (0..self.random.below(8)).map(|_| self.random.byte()).collect();
+        data.extend(hidden_command(inner, &mut self.random));
+        if self.random.below(2) == 0 && !behind {
+            data.extend((0..self.random.below(8)).map(|_| self.random.byte()));
+        }
+        if data.len() % 2 == 1 {
+            data.insert(0, 0x33);
+        }
+        let mut buffer = [0; rtu::FRAME_MAX];
+        let mut bytes = match self.random.below(2) {
+            0 => {
+                let request = nst::Request::Write { register: 0, data: &data };
+                encode_request(17, &request, &mut buffer).unwrap_or(&[]).to_vec()
+            }
+            _ => {
+                let range = Range::new(0x60, (data.len() / 2) as u16);
+                let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
+                rtu::encode_request(33, &request, &mut buffer).unwrap_or(&[]).to_vec()
+            }
+        };
+        let end = bytes.len() - 1;
+        if behind {
+            // what follows the frame that the length byte tells is the command, up to the end
+            bytes.truncate(end - 1);
+            let length = if bytes[0] == 17 { 4 } else { 6 };
+            bytes[length] = self.random.below(4) as u8 & !1;
+        } else {
+            bytes[end] ^= 0x40;
+        }
+        bytes
+    }
+
+    /// Every request is answered, or counted: exactly.
+    fn account(&mut self) {
+        let counters = Port::ALL.map(|port| self.world.engine().counters(port));
+        let sum = |what: fn(&Counters) -> u32| {
+            counters.iter().map(|counters| u64::from(what(counters))).sum::<u64>()
+        };
+        let (expired, timeouts) = (sum(|it| it.expired), sum(|it| it.timeouts));
+        let (retries, refused) = (sum(|it| it.retries), sum(|it| it.refused));
+        let counted = expired + timeouts + refused - retries;
+        let tally = &mut self.master.tally;
+        // what was relayed by coincidence is an answer to the bridge
+        let unanswered = tally.silent + tally.refused + tally.unknown - tally.coincidences;
+        let now = self.world.now();
+        if tally.asked != tally.answered + tally.silent + tally.refused || counted != unanswered {
+            let told = tally.clone();
+            tally.violation(now, || {
+                format!(
+                    "the account is not even: asked {}, answered {}, refused {}, silent {}, unknown units {}; \
+                     the bridge counted {refused} refused, {expired} expired, {timeouts} timeouts, {retries} retries",
+                    told.asked, told.answered, told.refused, told.silent, told.unknown,
+                )
+            });
+        }
+    }
+
+    /// Whether a unit speaks NST.
+    #[must_use]
+    pub fn is_nst(&self, unit: u8) -> bool {
+        is_nst(&self.network, unit)
+    }
+}
+
+/// A valid write of a number that nobody asked for.
+fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
+    let mut buffer = [0; rtu::FRAME_MAX];
+    let token = 0xEE00_0000 | random.next() as u32 & 0x00FF_FFFF;
+    let network = Network::default();
+    if unit == u8::MAX || is_nst(&network, unit) {
+        let request = nst::Request::Write { register: 0, data: &token.to_be_bytes() };
+        encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
+    } else {
+        let request = modbus::Request::WriteMultipleRegisters {
+            range: Range::new(if unit == 247 { 0 } else { 0x60 }, 2),
+            data: &token.to_be_bytes(),
+        };
+        rtu::encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
+    }
+}
