@@ -11,6 +11,7 @@ mod miri;
 mod probe;
 mod run;
 mod setup;
+mod sim;
 mod size;
 mod test;
 mod workspace;
@@ -48,6 +49,10 @@ enum Task {
     Size,
     /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
     Fuzz(fuzz::Budget),
+    /// Repeat a simulated run in virtual time, by its seed
+    Sim(sim::Repeat),
+    /// Show in virtual time, over millions of requests, that everything holds that must
+    Soak(sim::Soak),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -76,6 +81,8 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
         Task::Size => size::size(&workspace),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
+        Task::Sim(what) => sim::repeat(&workspace, &what),
+        Task::Soak(how) => sim::soak(&workspace, &how),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }
