@@ -13,6 +13,7 @@ mod msrv;
 mod probe;
 mod run;
 mod setup;
+mod sim;
 mod size;
 mod test;
 mod workspace;
@@ -52,6 +53,10 @@ enum Task {
     Fuzz(fuzz::Budget),
     /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
     Agreement(agreement::Extent),
+    /// Repeat a simulated run in virtual time, by its seed
+    Sim(sim::Repeat),
+    /// Show in virtual time, over millions of requests, that everything holds that must
+    Soak(sim::Soak),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -81,6 +86,8 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Size => size::size(&workspace),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
         Task::Agreement(extent) => agreement::agree(&workspace, &extent),
+        Task::Sim(what) => sim::repeat(&workspace, &what),
+        Task::Soak(how) => sim::soak(&workspace, &how),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }

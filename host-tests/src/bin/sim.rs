@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
-use jointbus_host_tests::sim::{Fault, Plan, Run};
+use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, properties};
 use jointbus_mcu_bridge::io::serial::Queues;
 use std::path::PathBuf;
 
@@ -31,17 +31,27 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         pcap: Option<PathBuf>,
     },
+    /// Show that everything holds that must: a million requests and more
+    Soak {
+        /// First seed of each property
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// Seeds of a thousand requests each
+        #[arg(long, default_value_t = 1000)]
+        seeds: u64,
+    },
     /// List the kinds of fault
     Kinds,
 }
 
 fn kind(name: &str) -> Result<Fault, String> {
-    Fault::of_name(name).ok_or_else(|| "`cargo xtask sim --kinds` lists the kinds".to_owned())
+    Fault::of_name(name).ok_or_else(|| "`cargo xtask sim --list` lists the kinds".to_owned())
 }
 
 fn main() -> Result<()> {
     match Arguments::parse().command {
         Command::Run { seed, kind, requests, pcap } => run(seed, &kind, requests, pcap),
+        Command::Soak { seed, seeds } => soak(seed, seeds),
         Command::Kinds => {
             for fault in Fault::ALL {
                 println!("{:<24}{}", fault.name(), fault.about());
@@ -75,6 +85,38 @@ fn run(seed: u64, kinds: &[Fault], requests: u64, pcap: Option<PathBuf>) -> Resu
     }
     if violated > 0 {
         bail!("{violated} times what must not happen");
+    }
+    Ok(())
+}
+
+/// Every property, one after the other; fails if one does not hold.
+fn soak(seed: u64, seeds: u64) -> Result<()> {
+    type Property<'a> = (&'a str, &'a dyn Fn() -> properties::Found);
+    let all: [Property<'_>; 4] = [
+        ("no wrong answer, all counted, nothing late, nothing twice, nothing hidden", &|| {
+            properties::answers(seed..seed + seeds)
+        }),
+        ("the service returns after each kind of fault", &|| {
+            properties::service_returns(seed..seed + seeds.div_ceil(20))
+        }),
+        ("a dead device costs the others little", &|| {
+            properties::a_dead_device_costs_little(seed, (seeds * SECONDS).min(600 * SECONDS))
+        }),
+        ("polling with 1000 Hz is on time", &|| {
+            properties::polling_is_on_time(seed, (4 * seeds * SECONDS).min(3600 * SECONDS))
+        }),
+    ];
+    let mut violated = 0;
+    for (name, property) in all {
+        let started = std::time::Instant::now();
+        let found = property();
+        violated += found.violated;
+        println!("{name}: {} violations in {:.1} s", found.violated, started.elapsed().as_secs_f64());
+        println!("    {}", found.counted);
+        found.violations.iter().for_each(|violation| println!("    {violation}"));
+    }
+    if violated > 0 {
+        bail!("{violated} violations");
     }
     Ok(())
 }

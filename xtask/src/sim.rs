@@ -1,0 +1,70 @@
+//! The simulation in virtual time: one run, or all that must hold.
+
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+
+use crate::workspace::Workspace;
+use crate::{emulate, run};
+
+/// The program that simulates.
+const PROGRAM: &str = "sim";
+
+/// Which run.
+#[derive(Args)]
+pub(crate) struct Repeat {
+    /// Everything random follows from it
+    #[arg(long, required_unless_present = "list")]
+    seed: Option<u64>,
+    /// Only this kind of fault; can be given more than once
+    #[arg(long, value_name = "KIND")]
+    kind: Vec<String>,
+    /// How many requests the host sends
+    #[arg(long, default_value_t = 1000)]
+    requests: u64,
+    /// Record all wires into this file, for Wireshark
+    #[arg(long, value_name = "FILE")]
+    pcap: Option<PathBuf>,
+    /// List the kinds of fault instead
+    #[arg(long)]
+    list: bool,
+}
+
+/// How much is to be shown.
+#[derive(Args)]
+pub(crate) struct Soak {
+    /// First seed
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Seeds of a thousand requests each
+    #[arg(long, default_value_t = 1000)]
+    seeds: u64,
+}
+
+/// Repeats the run of a seed.
+pub(crate) fn repeat(workspace: &Workspace, what: &Repeat) -> Result<()> {
+    let mut command = emulate::harness(workspace, PROGRAM, None);
+    match what.seed {
+        Some(seed) if !what.list => {
+            command.args(["run", "--seed", &seed.to_string(), "--requests", &what.requests.to_string()]);
+            what.kind.iter().for_each(|kind| {
+                command.args(["--kind", kind]);
+            });
+            if let Some(file) = &what.pcap {
+                // The file is meant from where the command was given.
+                command.arg("--pcap").arg(std::path::absolute(file)?);
+            }
+        }
+        _ => {
+            command.arg("kinds");
+        }
+    }
+    run::shown(&mut command)
+}
+
+/// Shows that everything holds that must.
+pub(crate) fn soak(workspace: &Workspace, how: &Soak) -> Result<()> {
+    let mut command = emulate::harness(workspace, PROGRAM, None);
+    command.args(["soak", "--seed", &how.seed.to_string(), "--seeds", &how.seeds.to_string()]);
+    run::shown(&mut command)
+}
