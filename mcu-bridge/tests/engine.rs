@@ -346,6 +346,31 @@ fn after_bus_off_the_controller_returns_later_each_time() {
 }
 
 #[test]
+fn a_frame_that_is_acknowledged_while_it_is_given_up_holds_nothing_up() {
+    for length in [4usize, 12] {
+        let mut world = World::new();
+        world.acknowledge = false;
+        let data = vec![7; length - 4];
+        let request = [&[0x10, 0, 0, data.len() as u8][..], &data].concat();
+        world.engine.receive(Port::Host, &modbus(1, &request), world.now);
+        let mut frame = world.engine.next_frame();
+        assert!(frame.take().is_some());
+        world.now = world.now.after(Duration::from_millis(100));
+        world.engine.poll(world.now);
+        assert!(world.engine.wants_abort(), "its time to live has passed");
+        // the frame was on the wire, and the last attempt succeeded
+        world.engine.frame_sent(world.now);
+        assert!(!world.engine.wants_abort());
+        world.acknowledge = true;
+        world.pass(LATER);
+        let counters = world.engine.counters(Port::Can);
+        let (expired, timeouts) = if length > 8 { (1, 0) } else { (0, 1) };
+        assert_eq!((counters.expired, counters.timeouts), (expired, timeouts), "of {length} bytes");
+        assert_eq!(world.nst(1, &READ, SOON), axes(1), "the bus is usable again");
+    }
+}
+
+#[test]
 fn unknown_units_and_broken_frames_end_with_silence() {
     let mut world = World::new();
     assert_eq!(world.exchange(&modbus(99, &[3, 0, 0, 0, 1]), SOON), []);

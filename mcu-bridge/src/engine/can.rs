@@ -37,8 +37,8 @@ enum Phase {
     Ready,
     /// So many frames were handed to the controller; all have to be acknowledged by then.
     Sending { handed: usize, limit: Instant },
-    /// Not acknowledged in time: the mailboxes are being aborted.
-    Aborting,
+    /// Of so many frames that were handed over some were not acknowledged in time: the mailboxes are being aborted.
+    Aborting { handed: usize },
     /// Sent; the reply has time until then.
     Waiting { sent: Instant, deadline: Instant },
 }
@@ -56,6 +56,12 @@ struct Flight {
     part: Part,
     /// Data of the parts read so far.
     joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
+}
+
+impl Flight {
+    const fn is_aborting(&self) -> bool {
+        matches!(self.phase, Phase::Aborting { .. })
+    }
 }
 
 /// One transfer of a request.
@@ -156,13 +162,13 @@ impl CanBus {
 
     /// Whether the frames that the controller still has are to be aborted.
     pub(super) fn wants_abort(&self) -> bool {
-        self.outstanding > 0 && self.flight.as_ref().is_none_or(|flight| flight.phase == Phase::Aborting)
+        self.outstanding > 0 && self.flight.as_ref().is_none_or(Flight::is_aborting)
     }
 
     /// The controller has no frame any more.
     pub(super) fn aborted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         self.outstanding = 0;
-        if self.flight.as_ref().is_some_and(|flight| flight.phase == Phase::Aborting) {
+        if self.flight.as_ref().is_some_and(Flight::is_aborting) {
             self.not_sent(around);
         }
         self.take_next(now, around);
@@ -209,7 +215,7 @@ impl CanBus {
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
         let sent = match flight.phase {
             Phase::Waiting { sent, .. } => sent,
-            Phase::Ready | Phase::Sending { .. } | Phase::Aborting => now,
+            Phase::Ready | Phase::Sending { .. } | Phase::Aborting { .. } => now,
         };
         let _ = flight.joined.extend_from_slice(data);
         flight.moved = flight.moved.saturating_add(flight.part.length);
@@ -234,8 +240,8 @@ impl CanBus {
         self.owed.expire(now);
         if let Some(flight) = &mut self.flight {
             match flight.phase {
-                Phase::Sending { limit, .. } if now >= limit => {
-                    flight.phase = Phase::Aborting;
+                Phase::Sending { handed, limit } if now >= limit => {
+                    flight.phase = Phase::Aborting { handed };
                     if self.outstanding == 0 {
                         self.not_sent(around);
                     }
@@ -255,7 +261,7 @@ impl CanBus {
             Phase::Ready => Some(flight.request.expires),
             Phase::Sending { limit, .. } => Some(limit),
             Phase::Waiting { deadline, .. } => Some(deadline),
-            Phase::Aborting => None,
+            Phase::Aborting { .. } => None,
         });
         [flight, self.queue.deadline(), self.owed.deadline(), self.back_off.restart]
             .into_iter()
@@ -312,8 +318,16 @@ impl CanBus {
 
     fn check_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         let Some(flight) = &mut self.flight else { return };
-        let Phase::Sending { handed, .. } = flight.phase else { return };
-        if self.outstanding > 0 || handed < frames(&flight.part.body) {
+        let (Phase::Sending { handed, .. } | Phase::Aborting { handed }) = flight.phase else { return };
+        if self.outstanding > 0 {
+            return;
+        }
+        if handed < frames(&flight.part.body) {
+            // the last frame on the wire was acknowledged, the others were never handed over
+            if flight.is_aborting() {
+                self.not_sent(around);
+                self.take_next(now, around);
+            }
             return;
         }
         if flight.request.expected.is_none() {
