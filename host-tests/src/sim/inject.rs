@@ -35,7 +35,10 @@ impl World<'_> {
     /// Whether a fault still waits for a frame that it concerns.
     #[must_use]
     pub fn is_armed(&self) -> bool {
-        let serial = self.lines.iter().any(|bus| !bus.armed.is_empty() || bus.hold > 0 || bus.mute > 0);
+        let serial = self
+            .lines
+            .iter()
+            .any(|bus| !bus.armed.is_empty() || bus.line.is_tampered() || bus.hold > 0 || bus.mute > 0);
         serial || !self.can_armed.is_empty() || !self.can.disturbances.is_empty()
     }
 

@@ -103,6 +103,12 @@ impl Line {
         self.transceivers[sender].tampers.push_back((index, tamper));
     }
 
+    /// Whether a byte of some next frame is to be changed.
+    #[must_use]
+    pub fn is_tampered(&self) -> bool {
+        self.transceivers.iter().any(|transceiver| !transceiver.tampers.is_empty())
+    }
+
     /// Adds bytes to what a sender has to send. The answer is when the first one ends, if it starts now.
     pub fn send(&mut self, sender: Sender, bytes: &[u8], now: Moment) -> Option<Moment> {
         let transceiver = &mut self.transceivers[sender];

@@ -31,7 +31,7 @@
 //! let mut queues = [Queues::new(), Queues::new(), Queues::new()];
 //! let mut world = World::new(Settings::new(1), &mut queues);
 //! // the six axes of the sensor behind unit 16
-//! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0x79, 0xFA]);
+//! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0xC4, 0x4A]);
 //! let (end, mut reply) = (world.now().after(20 * MILLIS), Vec::new());
 //! while let Some(notice) = world.next(end) {
 //!     if let Notice::HostHears(byte) = notice {

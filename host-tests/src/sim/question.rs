@@ -253,7 +253,7 @@ impl Questions {
                 Bus::Bridge => 1,
                 Bus::LocalOutputs | Bus::LocalIo => 0,
             };
-            units.extend((row.first_unit..).take(count.into()));
+            units.extend((row.first_unit..=row.last_unit).take(count.into()));
         }
         let token = 0x0100_0000 + (random.next() as u32 & 0x00FF_FFFF);
         Self { random, token, register: PATTERN.start, units, writes: 300_000, longest: 200 }

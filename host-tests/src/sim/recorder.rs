@@ -192,7 +192,7 @@ mod tests {
         recorder.bytes(Interface::Rs485A, true, at(30), &[3]);
         recorder.bytes(Interface::Rs485A, false, at(40), &[4]);
         recorder.bytes(Interface::Rs485A, false, at(90), &[5]);
-        let frame = Frame::data_frame(Id::Extended(0x7F01_10), &[9; 3]).unwrap();
+        let frame = Frame::data_frame(Id::Extended(0x007F_0110), &[9; 3]).unwrap();
         recorder.frame(at(100), &frame);
         let blocks = blocks(recorder.file());
         assert_eq!(blocks[0].0, SECTION_HEADER);

@@ -416,11 +416,13 @@ impl<'q> Run<'q> {
         let now = self.world.now();
         if tally.asked != tally.answered + tally.silent + tally.refused || counted != unanswered {
             let told = tally.clone();
+            let ports: Vec<_> =
+                counters.iter().map(|counters| format!("{:?}", counters.in_order())).collect();
             tally.violation(now, || {
                 format!(
                     "the account is not even: asked {}, answered {}, refused {}, silent {}, unknown units {}; \
-                     the bridge counted {refused} refused, {expired} expired, {timeouts} timeouts, {retries} retries",
-                    told.asked, told.answered, told.refused, told.silent, told.unknown,
+                     the bridge counted {refused} refused, {expired} expired, {timeouts} timeouts, {retries} retries: {}",
+                    told.asked, told.answered, told.refused, told.silent, told.unknown, ports.join("; "),
                 )
             });
         }

@@ -497,6 +497,7 @@ impl<'q> World<'q> {
         let bus = &mut self.lines[line];
         let station = &mut bus.devices[device];
         if station.polled.is_none()
+            && self.now >= station.absent
             && let Some(deadline) = station.deadline()
         {
             let at = Moment::of(deadline).max(self.now.after(1));
