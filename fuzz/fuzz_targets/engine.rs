@@ -5,7 +5,7 @@
 
 use jointbus_fuzz::{Script, sealed};
 use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
-use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause};
+use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause, Settings};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;
@@ -84,7 +84,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             engine.poll(*now);
         }
         11 => drop(settle(engine, now)),
-        12 => engine.set_bus_off(argument & 1 != 0),
+        12 => engine.set_bus_off(argument & 1 != 0, *now),
         13 => match argument & 3 {
             0 => engine.overrun(port),
             1 => engine.receive_error(port),
@@ -96,7 +96,12 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             engine.set_inputs(script.word(), [value; 4]);
         }
         _ => {
+            if let Some(settings) = engine.take_save() {
+                assert!(Settings::decode(&settings).is_some(), "what is stored can be restored");
+                engine.saved(argument & 1 != 0);
+            }
             let _ = (engine.take_command(), engine.take_port_change(port), engine.counters(port));
+            let _ = (engine.slot(argument.into()), engine.port(port), engine.quirks(), engine.health());
         }
     }
 }
@@ -132,6 +137,7 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
                 _ => engine.transmitted(port, *now),
             }
         }
+        moved |= engine.take_can_restart(*now);
         if engine.wants_abort() {
             engine.frames_aborted(*now);
             moved = true;

@@ -47,7 +47,7 @@ fuzz_target!(|data: &[u8]| {
         assert_eq!(rtu::Frame::decode(frame).map(|frame| Response::decode(frame.pdu)), Ok(Ok(response)));
     }
     if let Ok(objects) = Objects::new(data) {
-        let count = usize::from(objects.count());
+        let count = usize::from(Objects::count(&objects));
         assert_eq!(objects.map(|(_, value)| 2 + value.len()).sum::<usize>(), data.len());
         assert_eq!(Iterator::count(objects), count);
     }

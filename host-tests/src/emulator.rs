@@ -100,6 +100,8 @@ pub struct Options {
     pub faults: Endpoint,
     /// Whether the board has its crystal.
     pub crystal: bool,
+    /// Whether the CAN controller answers.
+    pub can_controller: bool,
     /// Whether the independent watchdog bites. In wall time a machine that is busy otherwise lets it starve, so this wants
     /// [`Options::icount`].
     pub watchdog: bool,
@@ -128,6 +130,7 @@ impl Options {
             can: Endpoint::Free,
             faults: Endpoint::Free,
             crystal: true,
+            can_controller: true,
             watchdog: false,
             flash: None,
             icount: None,
@@ -177,6 +180,9 @@ impl Options {
         command.arg("-kernel").arg(&self.image);
         let mut plugin = escaped(self.plugin.as_os_str());
         plugin.push(if self.crystal { ",crystal=on" } else { ",crystal=off" });
+        if !self.can_controller {
+            plugin.push(",can=off");
+        }
         if self.watchdog {
             plugin.push(",watchdog=on");
         }

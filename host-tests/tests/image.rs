@@ -185,6 +185,20 @@ fn without_a_crystal_the_image_runs_from_the_internal_oscillator() {
 }
 
 #[test]
+fn without_a_can_controller_everything_else_works() {
+    let mut bench = Bench::emulated(&Options { can_controller: false, ..options() }).unwrap();
+    bench.set_limits(&Limits { time_to_live_ms: 50, ..Limits::GENEROUS }).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().health, 1 << 1);
+    client.set_timeout(Duration::from_secs(2));
+    assert!(matches!(client.nst(CAN_UNIT).sample(), Err(Error::Timeout)), "NST: silence");
+    client.set_timeout(PATIENCE);
+    assert_eq!(bridge::counters(&mut client, port::CAN).unwrap().expired, 1);
+    bench.set_limits(&Limits::GENEROUS).unwrap();
+    bench.client().unwrap().nst(RS485_A_UNIT).sample().unwrap();
+}
+
+#[test]
 fn a_frame_with_a_data_length_code_above_8_is_eight_bytes_and_no_panic() {
     let emulator = Emulator::launch(&options()).unwrap();
     let mut stranger = emulator.connect(Port::Can).unwrap();

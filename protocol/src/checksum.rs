@@ -81,6 +81,19 @@ pub fn seal(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
     writer.slice(&crc.to_le_bytes())
 }
 
+/// A frame of an address, what `content` writes, and the CRC.
+pub(crate) fn frame(
+    address: u8,
+    content: impl FnOnce(&mut Writer<'_>) -> Result<(), NoSpace>,
+    buffer: &mut [u8],
+) -> Result<&[u8], NoSpace> {
+    let mut writer = Writer::new(buffer);
+    writer.u8(address)?;
+    content(&mut writer)?;
+    seal(&mut writer)?;
+    Ok(writer.finish())
+}
+
 /// LRC of Modbus ASCII over the bytes that the characters stand for: two's complement of their 8-bit sum.
 #[must_use]
 pub fn lrc(bytes: &[u8]) -> u8 {

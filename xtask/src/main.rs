@@ -3,11 +3,13 @@
 //! Every command first sets up what it needs and says so in one line; where it may not, it fails and names what to
 //! install. This file holds the command line only.
 
+mod agreement;
 mod demo;
 mod emulate;
 mod firmware;
 mod fuzz;
 mod miri;
+mod msrv;
 mod probe;
 mod run;
 mod setup;
@@ -53,6 +55,8 @@ enum Task {
     Sim(sim::Repeat),
     /// Show in virtual time, over millions of requests, that everything holds that must
     Soak(sim::Soak),
+    /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
+    Agreement(agreement::Extent),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -83,6 +87,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
         Task::Sim(what) => sim::repeat(&workspace, &what),
         Task::Soak(how) => sim::soak(&workspace, &how),
+        Task::Agreement(extent) => agreement::agree(&workspace, &extent),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{emulate, firmware, fuzz, miri, probe, run, setup};
+use crate::{agreement, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -107,10 +107,25 @@ static STEPS: &[Step] = &[
         },
     },
     Step {
+        name: "msrv",
+        about: "the protocol crate builds and passes with the oldest Rust that it promises",
+        prepare: |_| Ok(()),
+        run: msrv::msrv,
+    },
+    Step {
         name: "tests",
         about: "the tests pass, also those on the emulated part and with real clients",
         prepare: setup::all,
         run: tests,
+    },
+    Step {
+        name: "agreement",
+        about: "the general server and libmodbus answer alike, or a rule says why not",
+        prepare: |_| setup::libmodbus(),
+        run: |workspace| {
+            agreement::clippy(workspace)?;
+            agreement::briefly(workspace)
+        },
     },
     Step {
         name: "miri",

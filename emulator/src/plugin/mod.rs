@@ -69,6 +69,8 @@ struct State {
     flash: Option<File>,
     /// Whether the independent watchdog bites.
     watchdog: bool,
+    /// Whether there is a CAN controller.
+    has_can: bool,
 }
 
 /// What QEMU has given us.
@@ -90,6 +92,8 @@ unsafe impl Sync for Machine {}
 #[derive(Debug, PartialEq, Eq)]
 struct Options {
     crystal: bool,
+    /// Whether there is a CAN controller.
+    can: bool,
     any_version: bool,
     /// Whether the independent watchdog bites.
     watchdog: bool,
@@ -99,11 +103,13 @@ struct Options {
 
 impl Options {
     fn parse<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Result<Self, String> {
-        let mut options = Self { crystal: true, any_version: false, watchdog: false, flash: None };
+        let mut options = Self { crystal: true, can: true, any_version: false, watchdog: false, flash: None };
         for argument in arguments {
             match argument {
                 "crystal=on" => options.crystal = true,
                 "crystal=off" => options.crystal = false,
+                "can=on" => options.can = true,
+                "can=off" => options.can = false,
                 "watchdog=on" => options.watchdog = true,
                 "watchdog=off" => options.watchdog = false,
                 "anyversion=on" => options.any_version = true,
@@ -112,7 +118,7 @@ impl Options {
                     Some(path) => options.flash = Some(path.into()),
                     None => {
                         return Err(format!(
-                            "unknown argument {other:?}; there are crystal=, watchdog=, flash= and anyversion="
+                            "unknown argument {other:?}; there are crystal=, can=, watchdog=, flash= and anyversion="
                         ));
                     }
                 },
@@ -180,6 +186,7 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
         started: false,
         flash,
         watchdog: options.watchdog,
+        has_can: options.can,
     });
     let notifier = Notifier { notify: machine_complete, next: ptr::null_mut(), previous: ptr::null_mut() };
     let qemu = QEMU.get_or_init(|| qemu);
@@ -272,7 +279,9 @@ impl Machine {
         // SAFETY: as above.
         unsafe { (qemu.timer_init_full)(self.watchdog, none, CLOCK_VIRTUAL, SCALE_NS, 0, bite, none) };
         overlay(qemu, IWDG_BASE, iwdg::SIZE, &IWDG_OPS, c"jointbus.iwdg");
-        overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, c"jointbus.can1");
+        if with(|state| state.has_can) {
+            overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, c"jointbus.can1");
+        }
         overlay(qemu, RCC_BASE, rcc::SIZE, &RCC_OPS, c"jointbus.rcc");
         overlay(qemu, FLASH_BASE, flash::SIZE, &FLASH_OPS, c"jointbus.flash");
         let sectors = u64::from(flash::SECTORS_BASE);
@@ -587,10 +596,19 @@ mod tests {
     fn arguments_are_checked() {
         assert_eq!(
             Options::parse([]),
-            Ok(Options { crystal: true, any_version: false, watchdog: false, flash: None })
+            Ok(Options { crystal: true, can: true, any_version: false, watchdog: false, flash: None })
         );
-        let all = Options { crystal: false, any_version: true, watchdog: true, flash: Some("a.bin".into()) };
-        assert_eq!(Options::parse(["crystal=off", "anyversion=on", "watchdog=on", "flash=a.bin"]), Ok(all));
+        let all = Options {
+            crystal: false,
+            can: false,
+            any_version: true,
+            watchdog: true,
+            flash: Some("a.bin".into()),
+        };
+        assert_eq!(
+            Options::parse(["crystal=off", "can=off", "anyversion=on", "watchdog=on", "flash=a.bin"]),
+            Ok(all)
+        );
         assert!(Options::parse(["crystal"]).is_err());
     }
 

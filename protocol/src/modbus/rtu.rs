@@ -4,7 +4,7 @@ use super::{FunctionCode, Request, Response, identification};
 use crate::checksum;
 use crate::deframe::{Format, FrameLength};
 use crate::error::error_text;
-use crate::wire::{NoSpace, Writer};
+use crate::wire::NoSpace;
 
 pub use super::expected::ExpectedResponse;
 
@@ -61,11 +61,7 @@ pub fn encode_request<'b>(
     request: &Request<'_>,
     buffer: &'b mut [u8],
 ) -> Result<&'b [u8], NoSpace> {
-    let mut writer = Writer::new(buffer);
-    writer.u8(unit)?;
-    request.encode(&mut writer)?;
-    checksum::seal(&mut writer)?;
-    Ok(writer.finish())
+    checksum::frame(unit, |writer| request.encode(writer), buffer)
 }
 
 /// Writes a response as a frame and returns the used part of `buffer`.
@@ -77,11 +73,7 @@ pub fn encode_response<'b>(
     response: &Response<'_>,
     buffer: &'b mut [u8],
 ) -> Result<&'b [u8], NoSpace> {
-    let mut writer = Writer::new(buffer);
-    writer.u8(unit)?;
-    response.encode(&mut writer)?;
-    checksum::seal(&mut writer)?;
-    Ok(writer.finish())
+    checksum::frame(unit, |writer| response.encode(writer), buffer)
 }
 
 /// Length of the request frame that starts with `prefix`.

@@ -3,7 +3,7 @@
 use super::{COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request, WRITE_DATA_MAX};
 use crate::checksum;
 use crate::deframe::{Expectation, Format, FrameLength};
-use crate::wire::{NoSpace, Writer};
+use crate::wire::NoSpace;
 
 /// Bytes around a body: address and CRC.
 pub const OVERHEAD: usize = 1 + checksum::CRC_LENGTH;
@@ -42,11 +42,7 @@ pub fn encode_request<'b>(
     request: &Request<'_>,
     buffer: &'b mut [u8],
 ) -> Result<&'b [u8], NoSpace> {
-    let mut writer = Writer::new(buffer);
-    writer.u8(address)?;
-    request.encode(&mut writer)?;
-    checksum::seal(&mut writer)?;
-    Ok(writer.finish())
+    checksum::frame(address, |writer| request.encode(writer), buffer)
 }
 
 /// Writes a reply as a frame and returns the used part of `buffer`.
@@ -54,11 +50,7 @@ pub fn encode_request<'b>(
 /// # Errors
 /// [`NoSpace`] where it does not fit.
 pub fn encode_reply<'b>(address: u8, reply: &Reply<'_>, buffer: &'b mut [u8]) -> Result<&'b [u8], NoSpace> {
-    let mut writer = Writer::new(buffer);
-    writer.u8(address)?;
-    reply.encode(&mut writer)?;
-    checksum::seal(&mut writer)?;
-    Ok(writer.finish())
+    checksum::frame(address, |writer| reply.encode(writer), buffer)
 }
 
 /// Length of the request frame that starts with `prefix`.

@@ -3,6 +3,7 @@
 
 mod apt;
 mod components;
+mod libmodbus;
 pub(crate) mod nightly;
 mod python;
 mod target;
@@ -21,6 +22,7 @@ pub(crate) fn all(workspace: &Workspace) -> Result<()> {
     toolchain(workspace)?;
     emulator()?;
     clients(workspace)?;
+    libmodbus()?;
     nightly::fuzzer(workspace)?;
     nightly::miri(workspace)?;
     Ok(())
@@ -45,4 +47,9 @@ pub(crate) fn emulator() -> Result<()> {
 pub(crate) fn clients(workspace: &Workspace) -> Result<PathBuf> {
     tools::ensure(&[tools::MBPOLL, tools::SOCAT])?;
     python::ensure(workspace)
+}
+
+/// The library that the general server is compared with.
+pub(crate) fn libmodbus() -> Result<()> {
+    libmodbus::ensure()
 }

@@ -230,10 +230,7 @@ mod app {
         frames: &mut Consumer<'static, (Frame, u32)>,
         now: jointbus_protocol::time::Instant,
     ) {
-        // acknowledgements first: a reply comes after the request that it answers
-        for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
-            engine.frame_sent(now);
-        }
+        report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
             engine.transmit_error();
         }
@@ -245,7 +242,16 @@ mod app {
         }
         for _ in 0..CAN_INCOMING {
             let Some((frame, micros)) = frames.dequeue() else { break };
+            // once more: a reply counts only after the request that it answers, and both may have come just now
+            report_sent(engine, now);
             engine.receive_frame(&frame, recent(now, micros));
+        }
+    }
+
+    /// Tells the engine which frames have been acknowledged.
+    fn report_sent(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+        for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
+            engine.frame_sent(now);
         }
     }
 

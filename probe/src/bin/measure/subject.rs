@@ -166,11 +166,15 @@ mod chosen {
 
 #[cfg(not(any(feature = "server", feature = "nst", feature = "nxi", feature = "ndam")))]
 mod chosen {
-    pub(crate) fn new() {}
+    pub(crate) struct Nothing;
+
+    pub(crate) fn new() -> Nothing {
+        Nothing
+    }
 
     /// Does nothing, with the same arguments.
     #[inline(never)]
-    pub(crate) fn serve((): &mut (), frame: &[u8], out: &mut [u8]) -> bool {
+    pub(crate) fn serve(_: &mut Nothing, frame: &[u8], out: &mut [u8]) -> bool {
         core::hint::black_box((frame, out));
         false
     }

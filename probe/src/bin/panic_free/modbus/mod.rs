@@ -104,7 +104,8 @@ fn identification() {
     let category = Category::from_code(byte());
     sink((category.code(), category.last_object().map(ObjectId::code)));
     if let Ok(objects) = Objects::new(bytes()) {
-        sink(objects.count());
+        // `objects.count()` would be the iterator's
+        sink(Objects::count(&objects));
         objects.for_each(sink);
     }
 }

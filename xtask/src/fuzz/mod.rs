@@ -1,5 +1,7 @@
 //! The fuzz targets of `fuzz/`: built with the fuzzer, run beside each other for a time that they share, and counted.
 
+mod seeds;
+
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -29,6 +31,9 @@ pub(crate) struct Budget {
     /// Fuzz this target alone; can be given more than once
     #[arg(long, value_name = "TARGET")]
     only: Vec<String>,
+    /// Write the inputs to start from anew, and do nothing else
+    #[arg(long)]
+    write_seeds: bool,
 }
 
 /// Where the fuzzer keeps what.
@@ -55,11 +60,14 @@ struct Outcome {
 
 /// A minute of everything.
 pub(crate) fn briefly(workspace: &Workspace) -> Result<()> {
-    fuzz(workspace, &Budget { minutes: 1, only: Vec::new() })
+    fuzz(workspace, &Budget { minutes: 1, only: Vec::new(), write_seeds: false })
 }
 
 /// Fuzzes until the time is over; fails if any target did.
 pub(crate) fn fuzz(workspace: &Workspace, budget: &Budget) -> Result<()> {
+    if budget.write_seeds {
+        return seeds::write(workspace);
+    }
     nightly::fuzzer(workspace)?;
     let targets = chosen(targets(workspace)?, &budget.only)?;
     let folders = build(workspace)?;
