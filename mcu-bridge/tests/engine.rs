@@ -346,6 +346,27 @@ fn after_bus_off_the_controller_returns_later_each_time() {
 }
 
 #[test]
+fn a_second_copy_of_a_reply_on_can_answers_nothing_that_is_still_being_sent() {
+    let mut world = World::new();
+    let reply = |world: &mut World| {
+        let frames = jointbus_protocol::nst::can::segment(1, 127, &axes(1)).unwrap();
+        for frame in frames.collect::<Vec<_>>() {
+            world.engine.receive_frame(&frame, world.now);
+        }
+        world.engine.output(Port::Host).len()
+    };
+    let length = axes(1).len() + 3;
+    for request in 1..=2 {
+        world.engine.receive(Port::Host, &modbus(1, &READ), world.now);
+        assert!(world.engine.next_frame().is_some());
+        assert_eq!(reply(&mut world), (request - 1) * length, "nobody has acknowledged the request");
+        world.engine.frame_sent(world.now);
+        assert_eq!(reply(&mut world), request * length);
+    }
+    assert_eq!(world.engine.counters(Port::Can).foreign_or_late, 2);
+}
+
+#[test]
 fn a_frame_that_is_acknowledged_while_it_is_given_up_holds_nothing_up() {
     for length in [4usize, 12] {
         let mut world = World::new();

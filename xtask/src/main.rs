@@ -51,12 +51,12 @@ enum Task {
     Size,
     /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
     Fuzz(fuzz::Budget),
-    /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
-    Agreement(agreement::Extent),
     /// Repeat a simulated run in virtual time, by its seed
     Sim(sim::Repeat),
     /// Show in virtual time, over millions of requests, that everything holds that must
     Soak(sim::Soak),
+    /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
+    Agreement(agreement::Extent),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -85,9 +85,9 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
         Task::Size => size::size(&workspace),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
-        Task::Agreement(extent) => agreement::agree(&workspace, &extent),
         Task::Sim(what) => sim::repeat(&workspace, &what),
         Task::Soak(how) => sim::soak(&workspace, &how),
+        Task::Agreement(extent) => agreement::agree(&workspace, &extent),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }
