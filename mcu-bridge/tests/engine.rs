@@ -349,7 +349,8 @@ fn after_bus_off_the_controller_returns_later_each_time() {
 fn a_second_copy_of_a_reply_on_can_answers_nothing_that_is_still_being_sent() {
     let mut world = World::new();
     let reply = |world: &mut World| {
-        let frames = jointbus_protocol::nst::can::segment(1, 127, &axes(1)).unwrap();
+        let body = axes(1);
+        let frames = jointbus_protocol::nst::can::segment(1, 127, &body).unwrap();
         for frame in frames.collect::<Vec<_>>() {
             world.engine.receive_frame(&frame, world.now);
         }
