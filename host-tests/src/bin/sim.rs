@@ -37,7 +37,7 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
         /// Seeds of a thousand requests each
-        #[arg(long, default_value_t = 1000)]
+        #[arg(long, default_value_t = 1100)]
         seeds: u64,
     },
     /// List the kinds of fault
