@@ -187,15 +187,15 @@ impl CanBus {
             Some(_) => count(&mut around.counters.dropped_bursts),
         }
         let Some(Outcome::Complete { source, destination, body }) = outcome else { return };
-        let Some((flight, expected, quirk)) = self.flight.as_mut().and_then(|flight| {
+        let Some((flight, expected, quirk, sent)) = self.flight.as_mut().and_then(|flight| {
             let expected = flight.part.expected;
             let quirk = expected.accepts_quirk(body);
             let fits = source == expected.address()
                 && destination == self.node
                 && (quirk || expected.accepts_body(body));
             // a device answers only what it has received whole: what comes before is a second copy of the last reply
-            let asked = matches!(flight.phase, Phase::Waiting { .. });
-            (fits && asked).then_some((flight, expected, quirk))
+            let Phase::Waiting { sent, .. } = flight.phase else { return None };
+            fits.then_some((flight, expected, quirk, sent))
         }) else {
             let late = self.owed.iter().position(|owed| match owed {
                 Expected::Nst(owed) => {
@@ -213,10 +213,6 @@ impl CanBus {
             count(&mut self.quirks);
         }
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
-        let sent = match flight.phase {
-            Phase::Waiting { sent, .. } => sent,
-            Phase::Ready | Phase::Sending { .. } | Phase::Aborting { .. } => now,
-        };
         let _ = flight.joined.extend_from_slice(data);
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let hold_off = flight.request.hold_off;
