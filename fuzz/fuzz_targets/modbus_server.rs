@@ -6,7 +6,7 @@ use jointbus_fuzz::{Script, check_response, sealed};
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Bits, BitsMut, RamTables, Registers, RegistersMut, Server, Silence,
+    self, Bits, BitWriter, RamTables, Registers, RegisterWriter, Server, Silence,
 };
 use jointbus_protocol::modbus::{
     BROADCAST, Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, ascii, rtu, tcp,
@@ -26,16 +26,16 @@ impl Server for Everything {
     fn supports(&self, function: FunctionCode) -> bool {
         !matches!(function, FunctionCode::Unknown(_))
     }
-    fn read_coils(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_coils(range, bits)
     }
-    fn read_discrete_inputs(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_discrete_inputs(range, bits)
     }
-    fn read_holding_registers(&mut self, range: Range, all: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_holding_registers(&mut self, range: Range, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_holding_registers(range, all)
     }
-    fn read_input_registers(&mut self, range: Range, all: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_input_registers(&mut self, range: Range, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_input_registers(range, all)
     }
     fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
@@ -54,22 +54,21 @@ impl Server for Everything {
         write: Range,
         values: Registers<'_>,
         read: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         self.tables.read_write_registers(write, values, read, registers)
     }
     fn exception_status(&mut self) -> Result<u8, ExceptionCode> {
         Ok(0x5A)
     }
-    fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
         assert_ne!(what, Diagnostic::ForceListenOnly);
+        assert!(what == Diagnostic::ReturnQueryData || data.len() == 1);
         match what {
-            Diagnostic::ReturnQueryData => {}
-            Diagnostic::Unknown(_) => return Err(ExceptionCode::IllegalFunction),
-            Diagnostic::BusMessageCount => data.set(0, 77),
-            _ => {}
+            Diagnostic::Unknown(_) => Err(ExceptionCode::IllegalFunction),
+            Diagnostic::BusMessageCount => Ok(Some(77)),
+            _ => Ok(None),
         }
-        Ok(())
     }
     fn comm_event_counter(&mut self) -> Result<(u16, u16), ExceptionCode> {
         Ok((0xFFFF, 9))

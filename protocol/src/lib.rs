@@ -24,7 +24,7 @@
 //! ```
 //! use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
 //! use jointbus_protocol::modbus::rtu::{FRAME_MAX, Requests};
-//! use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
+//! use jointbus_protocol::modbus::server::{self, Registers, RegisterWriter, Server};
 //! use jointbus_protocol::modbus::{ExceptionCode, Range};
 //! use jointbus_protocol::time::{Duration, Instant};
 //!
@@ -35,19 +35,19 @@
 //! }
 //!
 //! impl Server for Motor {
-//!     fn read_holding_registers(&mut self, range: Range, mut to: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+//!     fn read_holding_registers(&mut self, range: Range, to: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
 //!         if !range.within(0, 0) {
 //!             return Err(ExceptionCode::IllegalDataAddress);
 //!         }
-//!         to.set(0, self.set_speed);
+//!         to.push(self.set_speed);
 //!         Ok(())
 //!     }
 //!
-//!     fn read_input_registers(&mut self, range: Range, mut to: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+//!     fn read_input_registers(&mut self, range: Range, to: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
 //!         if !range.within(0, 1) {
 //!             return Err(ExceptionCode::IllegalDataAddress);
 //!         }
-//!         to.fill(self.measured.into_iter().skip(range.start.into()));
+//!         to.extend(self.measured.into_iter().skip(range.start.into()));
 //!         Ok(())
 //!     }
 //!

@@ -6,7 +6,7 @@ use super::counters::Counters;
 use super::polling::{Polling, Slot};
 use super::settings::{STORED_LENGTH, Settings, SlotSettings};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
-use jointbus_protocol::modbus::server::{self, Registers, RegistersMut, Server};
+use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Response};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -126,18 +126,22 @@ impl Server for Own<'_> {
     fn read_holding_registers(
         &mut self,
         range: Range,
-        mut out: RegistersMut<'_>,
+        out: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         let settings = self.engine.settings();
-        out.fill(range.addresses().map(|address| settings.read(address)));
+        out.extend(range.addresses().map(|address| settings.read(address)));
         Ok(())
     }
 
-    fn read_input_registers(&mut self, range: Range, mut out: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_input_registers(
+        &mut self,
+        range: Range,
+        out: &mut RegisterWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         if !range.within(0, INPUT_LAST) {
             return Err(ExceptionCode::IllegalDataAddress);
         }
-        out.fill(range.addresses().map(|address| self.engine.input(address, self.now)));
+        out.extend(range.addresses().map(|address| self.engine.input(address, self.now)));
         Ok(())
     }
 
@@ -145,15 +149,15 @@ impl Server for Own<'_> {
         self.engine.write_own(range, values, self.now)
     }
 
-    fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
         let [host, ..] = &self.engine.counters;
         let Diagnostics { requests, exceptions } = self.engine.diagnostics;
         let count = match what {
-            Diagnostic::ReturnQueryData => return Ok(()),
+            Diagnostic::ReturnQueryData => return Ok(None),
             _ if data.get(0) != Some(0) => return Err(ExceptionCode::IllegalDataValue),
             Diagnostic::ClearCounters => {
                 self.engine.clear_counters();
-                return Ok(());
+                return Ok(None);
             }
             Diagnostic::BusMessageCount => host.received as u16,
             Diagnostic::BusCommunicationErrorCount => host.checksum_errors as u16,
@@ -164,8 +168,7 @@ impl Server for Own<'_> {
             Diagnostic::BusCharacterOverrunCount => host.overruns as u16,
             _ => return Err(ExceptionCode::IllegalFunction),
         };
-        data.set(0, count);
-        Ok(())
+        Ok(Some(count))
     }
 
     fn server_id(&mut self) -> Result<&[u8], ExceptionCode> {

@@ -18,4 +18,4 @@ pub use framing::{ascii, rtu, rtu_with, tcp};
 pub use ram::RamTables;
 pub use respond::{Server, respond};
 pub use serial::{Audience, Silence, malformed, serve_ascii, serve_rtu};
-pub use view::{Bits, BitsMut, Registers, RegistersMut};
+pub use view::{BitWriter, Bits, RegisterWriter, Registers};

@@ -1,5 +1,5 @@
 use super::respond::Server;
-use super::view::{Bits, BitsMut, Registers, RegistersMut};
+use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{ExceptionCode, FunctionCode, Range, masked};
 
 /// Tables in memory, each from address 0 on: a [`Server`] of function codes 01 to 06, 0F, 10, 16 and 17.
@@ -46,7 +46,7 @@ fn end(range: Range) -> usize {
     usize::from(range.start).saturating_add(range.quantity.into())
 }
 
-fn read_bits(table: &[u8], range: Range, mut bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+fn read_bits(table: &[u8], range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
     if end(range) > table.len().saturating_mul(8) {
         return Err(ABSENT);
     }
@@ -54,8 +54,8 @@ fn read_bits(table: &[u8], range: Range, mut bits: BitsMut<'_>) -> Result<(), Ex
     Ok(())
 }
 
-fn read(table: &[u16], range: Range, mut registers: RegistersMut<'_>) -> Result<(), ExceptionCode> {
-    registers.fill(table.get(range.start.into()..end(range)).ok_or(ABSENT)?.iter().copied());
+fn read(table: &[u16], range: Range, registers: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+    registers.extend(table.get(range.start.into()..end(range)).ok_or(ABSENT)?.iter().copied());
     Ok(())
 }
 
@@ -77,18 +77,18 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
         }
     }
 
-    fn read_coils(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         read_bits(&self.coils, range, bits)
     }
 
-    fn read_discrete_inputs(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         read_bits(&self.discrete_inputs, range, bits)
     }
 
     fn read_holding_registers(
         &mut self,
         range: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         read(&self.holding_registers, range, registers)
     }
@@ -96,7 +96,7 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
     fn read_input_registers(
         &mut self,
         range: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         read(&self.input_registers, range, registers)
     }
@@ -126,7 +126,7 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
         write: Range,
         values: Registers<'_>,
         range: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         if end(range) > HOLDING {
             return Err(ABSENT);

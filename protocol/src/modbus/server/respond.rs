@@ -1,6 +1,7 @@
 use super::Silence;
-use super::view::{Bits, BitsMut, Registers, RegistersMut};
+use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::identification::{self, Category, Conformity, MEI_TYPE, OBJECT_MAX, ObjectId};
+use crate::modbus::request;
 use crate::modbus::{
     COIL_OFF, COIL_ON, Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, READ_BITS_MAX, READ_REGISTERS_MAX,
     READ_WRITE_REGISTERS_MAX, Range, Request, WRITE_BITS_MAX, WRITE_REGISTERS_MAX, bytes_of_bits,
@@ -14,6 +15,7 @@ use crate::wire::{NoSpace, Reader, Truncated, Writer};
 /// 0xFFFF; the owner judges the addresses ([`ExceptionCode::IllegalDataAddress`]), the values
 /// ([`ExceptionCode::IllegalDataValue`]) and what it has behind them ([`ExceptionCode::ServerDeviceFailure`] for a
 /// fault, [`ExceptionCode::ServerDeviceBusy`] for later), *before* it changes anything: a write is all or nothing.
+/// A read that hands over fewer values than were asked for is answered with exception 04: none is made up.
 /// An error type of its own becomes an exception by `?` where `ExceptionCode` implements `From` for it.
 ///
 /// # Errors
@@ -28,12 +30,12 @@ pub trait Server {
     }
 
     /// Function code 01: coils (6.1).
-    fn read_coils(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 02: discrete inputs (6.2).
-    fn read_discrete_inputs(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
@@ -41,7 +43,7 @@ pub trait Server {
     fn read_holding_registers(
         &mut self,
         range: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
@@ -50,7 +52,7 @@ pub trait Server {
     fn read_input_registers(
         &mut self,
         range: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
@@ -77,7 +79,7 @@ pub trait Server {
         write: Range,
         values: Registers<'_>,
         read: Range,
-        registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
@@ -87,10 +89,10 @@ pub trait Server {
         Err(ExceptionCode::IllegalFunction)
     }
 
-    /// Function code 08 (6.8): `data` holds the request's, one register but for [`Diagnostic::ReturnQueryData`], and
-    /// is sent back. So the loopback needs nothing but `Ok`; a counter is put into the first register.
+    /// Function code 08 (6.8): `data` is the request's, one register but for [`Diagnostic::ReturnQueryData`], and is
+    /// sent back, with a counter or register in place of its first one if there is `Some`.
     /// [`Diagnostic::ForceListenOnly`] never comes here, since it is never answered: exception 01.
-    fn diagnostics(&mut self, what: Diagnostic, data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
+    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
@@ -192,28 +194,37 @@ pub(super) fn answer(
 fn basic(
     server: &mut impl Server,
     function: FunctionCode,
-    reader: Reader<'_>,
+    mut reader: Reader<'_>,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
+    use FunctionCode as F;
     writer.u8(function.code())?;
-    match Request::decode_basic(function, reader)? {
-        Request::ReadCoils(range) => {
-            let bits = room_for_bits(range, writer)?;
-            server.read_coils(range, bits)?;
+    let range @ Range { start: address, quantity: value } = request::range(&mut reader)?;
+    let writes_many = matches!(function, F::WriteMultipleCoils | F::WriteMultipleRegisters);
+    let data = if writes_many { request::counted(&mut reader)? } else { &[] };
+    if !reader.rest().is_empty() {
+        return Err(ExceptionCode::IllegalDataValue.into());
+    }
+    match function {
+        F::ReadCoils | F::ReadDiscreteInputs => {
+            let data = room(range, READ_BITS_MAX, bytes_of_bits(range.quantity), writer)?;
+            let mut bits = BitWriter::new(data, range.quantity);
+            match function {
+                F::ReadCoils => server.read_coils(range, &mut bits)?,
+                _ => server.read_discrete_inputs(range, &mut bits)?,
+            }
+            complete(bits.remaining() == 0)?;
         }
-        Request::ReadDiscreteInputs(range) => {
-            let bits = room_for_bits(range, writer)?;
-            server.read_discrete_inputs(range, bits)?;
+        F::ReadHoldingRegisters | F::ReadInputRegisters => {
+            let data = room(range, READ_REGISTERS_MAX, bytes_of_registers(range.quantity), writer)?;
+            let mut registers = RegisterWriter::new(data);
+            match function {
+                F::ReadHoldingRegisters => server.read_holding_registers(range, &mut registers)?,
+                _ => server.read_input_registers(range, &mut registers)?,
+            }
+            complete(registers.remaining() == 0)?;
         }
-        Request::ReadHoldingRegisters(range) => {
-            let registers = room_for_registers(range, writer)?;
-            server.read_holding_registers(range, registers)?;
-        }
-        Request::ReadInputRegisters(range) => {
-            let registers = room_for_registers(range, writer)?;
-            server.read_input_registers(range, registers)?;
-        }
-        Request::WriteSingleCoil { address, value } => {
+        F::WriteSingleCoil => {
             let on = match value {
                 COIL_ON => 1,
                 COIL_OFF => 0,
@@ -222,18 +233,18 @@ fn basic(
             echo(writer, address, value)?;
             server.write_coils(Range::new(address, 1), Bits::new(&[on], 1))?;
         }
-        Request::WriteSingleRegister { address, value } => {
+        F::WriteSingleRegister => {
             echo(writer, address, value)?;
             server.write_registers(Range::new(address, 1), Registers::new(&value.to_be_bytes()))?;
         }
-        Request::WriteMultipleCoils { range, data } => {
+        F::WriteMultipleCoils => {
             judge(range, WRITE_BITS_MAX, data.len() == bytes_of_bits(range.quantity))?;
-            echo(writer, range.start, range.quantity)?;
+            echo(writer, address, value)?;
             server.write_coils(range, Bits::new(data, range.quantity))?;
         }
-        Request::WriteMultipleRegisters { range, data } => {
+        F::WriteMultipleRegisters => {
             judge(range, WRITE_REGISTERS_MAX, data.len() == bytes_of_registers(range.quantity))?;
-            echo(writer, range.start, range.quantity)?;
+            echo(writer, address, value)?;
             server.write_registers(range, Registers::new(data))?;
         }
         _ => return Err(ExceptionCode::IllegalFunction.into()),
@@ -255,8 +266,10 @@ fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_>) -> Resul
             let fits = data.len() == bytes_of_registers(write.quantity)
                 && (1..=READ_REGISTERS_MAX).contains(&read.quantity);
             judge(write, READ_WRITE_REGISTERS_MAX, fits)?;
-            let registers = room_for_registers(read, writer)?;
-            server.read_write_registers(write, Registers::new(data), read, registers)?;
+            let place = room(read, READ_REGISTERS_MAX, bytes_of_registers(read.quantity), writer)?;
+            let mut registers = RegisterWriter::new(place);
+            server.read_write_registers(write, Registers::new(data), read, &mut registers)?;
+            complete(registers.remaining() == 0)?;
         }
         Request::ReadExceptionStatus => {
             let place = writer.reserve(1)?;
@@ -264,9 +277,9 @@ fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_>) -> Resul
         }
         Request::Diagnostics { what, data } => diagnose(server, what, data, writer)?,
         Request::GetCommEventCounter => {
-            let mut place = RegistersMut::new(writer.reserve(4)?);
+            let mut place = RegisterWriter::new(writer.reserve(4)?);
             let (status, events) = server.comm_event_counter()?;
-            place.fill([status, events]);
+            place.extend([status, events]);
         }
         Request::ReportServerId => {
             let id = server.server_id()?;
@@ -295,12 +308,17 @@ fn judge(range: Range, max: u16, fits: bool) -> Result<(), ExceptionCode> {
     Ok(())
 }
 
+/// A value that the owner did not hand over is not made up.
+fn complete(all: bool) -> Result<(), ExceptionCode> {
+    if all { Ok(()) } else { Err(ExceptionCode::ServerDeviceFailure) }
+}
+
 fn echo(writer: &mut Writer<'_>, first: u16, second: u16) -> Result<(), NoSpace> {
     writer.u16_be(first)?;
     writer.u16_be(second)
 }
 
-/// Judges a read, then makes room for its byte count and so many bytes, all 0.
+/// Judges a read, then makes room for its byte count and so many bytes.
 fn room<'w>(
     range: Range,
     max: u16,
@@ -309,21 +327,7 @@ fn room<'w>(
 ) -> Result<&'w mut [u8], Failure> {
     judge(range, max, true)?;
     writer.u8(u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?)?;
-    let data = writer.reserve(bytes)?;
-    data.fill(0);
-    Ok(data)
-}
-
-#[inline]
-fn room_for_bits<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<BitsMut<'w>, Failure> {
-    let data = room(range, READ_BITS_MAX, bytes_of_bits(range.quantity), writer)?;
-    Ok(BitsMut::new(data, range.quantity))
-}
-
-#[inline]
-fn room_for_registers<'w>(range: Range, writer: &'w mut Writer<'_>) -> Result<RegistersMut<'w>, Failure> {
-    let data = room(range, READ_REGISTERS_MAX, bytes_of_registers(range.quantity), writer)?;
-    Ok(RegistersMut::new(data))
+    Ok(writer.reserve(bytes)?)
 }
 
 fn diagnose(
@@ -345,7 +349,10 @@ fn diagnose(
     writer.u16_be(what.code())?;
     let place = writer.reserve(data.len())?;
     place.copy_from_slice(data);
-    Ok(server.diagnostics(what, RegistersMut::new(place))?)
+    if let Some(answer) = server.diagnostics(what, Registers::new(data))? {
+        RegisterWriter::new(place).push(answer);
+    }
+    Ok(())
 }
 
 /// A stream of objects up to the last of its category, or one object. An unknown first object of a stream stands for
@@ -409,6 +416,8 @@ mod tests {
         calls: Vec<String>,
         fails: Option<ExceptionCode>,
         objects: Vec<(u8, Vec<u8>)>,
+        /// Values that a read does not hand over.
+        withheld: u16,
     }
 
     impl Owner {
@@ -422,23 +431,33 @@ mod tests {
         fn supports(&self, function: FunctionCode) -> bool {
             !matches!(function, FunctionCode::Unknown(_) | FunctionCode::GetCommEventLog)
         }
-        fn read_coils(&mut self, range: Range, mut bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
-            bits.fill(core::iter::repeat(true));
-            self.call(std::format!("coils {}+{}", range.start, bits.len()))
+        fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+            bits.extend(core::iter::repeat(true));
+            self.call(std::format!("coils {}+{}", range.start, range.quantity))
         }
-        fn read_discrete_inputs(&mut self, range: Range, bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
-            self.call(std::format!("inputs {}+{}", range.start, bits.len()))
+        fn read_discrete_inputs(
+            &mut self,
+            range: Range,
+            bits: &mut BitWriter<'_>,
+        ) -> Result<(), ExceptionCode> {
+            bits.extend(core::iter::repeat_n(false, usize::from(range.quantity - self.withheld)));
+            self.call(std::format!("inputs {}+{}", range.start, range.quantity))
         }
         fn read_holding_registers(
             &mut self,
             range: Range,
-            mut to: RegistersMut<'_>,
+            to: &mut RegisterWriter<'_>,
         ) -> Result<(), ExceptionCode> {
-            to.fill(range.addresses());
-            self.call(std::format!("holding {}+{}", range.start, to.len()))
+            to.extend(range.addresses().skip(self.withheld.into()));
+            self.call(std::format!("holding {}+{}", range.start, range.quantity))
         }
-        fn read_input_registers(&mut self, range: Range, to: RegistersMut<'_>) -> Result<(), ExceptionCode> {
-            self.call(std::format!("input {}+{}", range.start, to.len()))
+        fn read_input_registers(
+            &mut self,
+            range: Range,
+            to: &mut RegisterWriter<'_>,
+        ) -> Result<(), ExceptionCode> {
+            to.extend(range.addresses().map(|_| 0).skip(self.withheld.into()));
+            self.call(std::format!("input {}+{}", range.start, range.quantity))
         }
         fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
             let on = bits.iter().filter(|bit| *bit).count();
@@ -455,27 +474,27 @@ mod tests {
             write: Range,
             values: Registers<'_>,
             read: Range,
-            mut to: RegistersMut<'_>,
+            to: &mut RegisterWriter<'_>,
         ) -> Result<(), ExceptionCode> {
-            to.fill(read.addresses());
+            to.extend(read.addresses().skip(self.withheld.into()));
             self.call(std::format!(
                 "write {}+{}, read {}+{}",
                 write.start,
                 values.len(),
                 read.start,
-                to.len()
+                read.quantity
             ))
         }
         fn exception_status(&mut self) -> Result<u8, ExceptionCode> {
             self.call("status".into()).map(|()| 0x6D)
         }
-        fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
-            match what {
-                Diagnostic::BusMessageCount => data.set(0, 0x0102),
-                Diagnostic::ReturnQueryData => {}
+        fn diagnostics(&mut self, what: Diagnostic, _: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+            let answer = match what {
+                Diagnostic::BusMessageCount => Some(0x0102),
+                Diagnostic::ReturnQueryData => None,
                 _ => return Err(ExceptionCode::IllegalFunction),
-            }
-            self.call(std::format!("{what:?}"))
+            };
+            self.call(std::format!("{what:?}")).map(|()| answer)
         }
         fn comm_event_counter(&mut self) -> Result<(u16, u16), ExceptionCode> {
             self.call("events".into()).map(|()| (0xFFFF, 0x0108))
@@ -540,6 +559,19 @@ mod tests {
                 let mut owner = Owner { fails: Some(exception), ..Owner::default() };
                 assert_eq!(ask(&mut owner, pdu), [pdu[0] | 0x80, exception.code()], "{pdu:x?}");
             }
+        }
+    }
+
+    #[test]
+    fn values_that_are_not_handed_over_are_not_made_up() {
+        for pdu in [
+            &[2, 0, 9, 0, 9][..],
+            &[3, 1, 2, 0, 2],
+            &[4, 0, 9, 0, 1],
+            &[0x17, 0, 3, 0, 1, 0, 9, 0, 1, 2, 7, 7],
+        ] {
+            let mut owner = Owner { withheld: 1, ..Owner::default() };
+            assert_eq!(ask(&mut owner, pdu), [pdu[0] | 0x80, 4], "{pdu:x?}");
         }
     }
 

@@ -1,3 +1,5 @@
+use core::slice;
+
 use crate::modbus::{bit, bytes_of_bits};
 
 /// The values of a write: registers in the request's data.
@@ -40,45 +42,37 @@ impl<'a> Registers<'a> {
     }
 }
 
-/// Where a read puts its registers: in the response, 0 until they are set.
+/// Takes the registers of a read, in order, and writes them into the response.
 #[derive(Debug)]
-pub struct RegistersMut<'a>(&'a mut [[u8; 2]]);
+pub struct RegisterWriter<'a> {
+    pairs: slice::IterMut<'a, [u8; 2]>,
+}
 
-impl<'a> RegistersMut<'a> {
-    /// Registers that are filled into `data`, most significant byte first; they keep what is there.
+impl<'a> RegisterWriter<'a> {
+    /// Registers for all of `data`, most significant byte first; an odd byte at the end stays.
     #[must_use]
-    pub const fn new(data: &'a mut [u8]) -> Self {
-        Self(data.as_chunks_mut().0)
+    pub fn new(data: &'a mut [u8]) -> Self {
+        Self { pairs: data.as_chunks_mut().0.iter_mut() }
     }
 
-    /// How many were asked for.
+    /// How many are still wanted.
     #[must_use]
-    pub const fn len(&self) -> usize {
-        self.0.len()
+    pub fn remaining(&self) -> usize {
+        self.pairs.len()
     }
 
-    /// Whether there are none: never so in a request that was judged.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// The value at `index`, counted from the first address of the request.
-    #[must_use]
-    pub fn get(&self, index: usize) -> Option<u16> {
-        self.0.get(index).map(|pair| u16::from_be_bytes(*pair))
-    }
-
-    /// Sets the value at `index`, counted from the first address of the request; past the last nothing happens.
-    pub fn set(&mut self, index: usize, value: u16) {
-        if let Some(pair) = self.0.get_mut(index) {
+    /// The next value; past the last nothing happens.
+    pub fn push(&mut self, value: u16) {
+        if let Some(pair) = self.pairs.next() {
             *pair = value.to_be_bytes();
         }
     }
+}
 
-    /// Sets the values from the first one on, until either end.
-    pub fn fill(&mut self, values: impl IntoIterator<Item = u16>) {
-        for (pair, value) in self.0.iter_mut().zip(values) {
+/// The next values, until either end.
+impl Extend<u16> for RegisterWriter<'_> {
+    fn extend<T: IntoIterator<Item = u16>>(&mut self, values: T) {
+        for (value, pair) in values.into_iter().zip(&mut self.pairs) {
             *pair = value.to_be_bytes();
         }
     }
@@ -133,50 +127,40 @@ impl<'a> Bits<'a> {
     }
 }
 
-/// Where a read puts its coils or inputs: packed in the response, 0 until they are set.
+/// Takes the coils or inputs of a read, in order, and packs them into the response.
 #[derive(Debug)]
-pub struct BitsMut<'a> {
+pub struct BitWriter<'a> {
     bytes: &'a mut [u8],
     quantity: u16,
+    written: u16,
 }
 
-impl<'a> BitsMut<'a> {
-    /// `quantity` bits that are filled into `bytes`; they keep what is there.
+impl<'a> BitWriter<'a> {
+    /// `quantity` bits for the front of `bytes`.
     #[must_use]
     pub const fn new(bytes: &'a mut [u8], quantity: u16) -> Self {
-        Self { bytes, quantity }
+        Self { bytes, quantity, written: 0 }
     }
 
-    /// How many were asked for.
+    /// How many are still wanted.
     #[must_use]
-    pub const fn len(&self) -> u16 {
-        self.quantity
+    pub const fn remaining(&self) -> u16 {
+        self.quantity.saturating_sub(self.written)
     }
 
-    /// Whether there are none: never so in a request that was judged.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.quantity == 0
-    }
-
-    /// Sets the bit at `index`, counted from the first address of the request; past the last nothing happens.
-    pub fn set(&mut self, index: u16, value: bool) {
-        if index < self.quantity
-            && let Some(byte) = self.bytes.get_mut(usize::from(index >> 3))
+    /// The next bit; past the last nothing happens.
+    pub fn push(&mut self, value: bool) {
+        if self.written < self.quantity
+            && let Some(byte) = self.bytes.get_mut(usize::from(self.written >> 3))
         {
-            let mask = 1u8.wrapping_shl(u32::from(index & 7));
-            *byte = if value { *byte | mask } else { *byte & !mask };
+            // the bits that fill the last byte are 0 (6.1)
+            let before = if self.written & 7 == 0 { 0 } else { *byte };
+            *byte = before | u8::from(value).wrapping_shl(u32::from(self.written & 7));
+            self.written = self.written.wrapping_add(1);
         }
     }
 
-    /// Sets the bits from the first one on, until either end.
-    pub fn fill(&mut self, values: impl IntoIterator<Item = bool>) {
-        for (index, value) in (0..self.quantity).zip(values) {
-            self.set(index, value);
-        }
-    }
-
-    /// Sets all bits from a packed table, whose bit `first` becomes the first one; bits past its end are 0.
+    /// All bits at once, from a packed table whose bit `first` becomes the first one; bits past its end are 0.
     pub fn copy_from(&mut self, table: &[u8], first: u16) {
         let mut source = table.iter().skip(usize::from(first >> 3)).copied();
         let mut low = source.next().unwrap_or(0);
@@ -187,13 +171,20 @@ impl<'a> BitsMut<'a> {
             *byte = packed;
             low = high;
         }
-        // the bits that fill the last byte are 0 (6.1)
         let filled = self.quantity & 7;
         if let Some(last) = self.bytes.get_mut(..used).and_then(<[u8]>::last_mut)
             && filled != 0
         {
             *last &= 1u8.wrapping_shl(filled.into()).wrapping_sub(1);
         }
+        self.written = self.quantity;
+    }
+}
+
+/// The next bits, until either end.
+impl Extend<bool> for BitWriter<'_> {
+    fn extend<T: IntoIterator<Item = bool>>(&mut self, values: T) {
+        (0..self.remaining()).zip(values).for_each(|(_, value)| self.push(value));
     }
 }
 
@@ -211,13 +202,14 @@ mod tests {
         values.copy_to(&mut table);
         assert_eq!(table, [0x0102, 0x0304, 7]);
 
-        let mut data = [0; 6];
-        let mut out = RegistersMut::new(&mut data);
-        out.fill([0x1122, 0x3344]);
-        out.set(2, 0x5566);
-        out.set(3, 0x7788);
-        assert_eq!((out.get(1), out.get(3), out.is_empty()), (Some(0x3344), None, false));
-        assert_eq!(data, [0x11, 0x22, 0x33, 0x44, 0x55, 0x66]);
+        let mut data = [0xEE; 7];
+        let mut out = RegisterWriter::new(&mut data);
+        out.extend([0x1122, 0x3344]);
+        assert_eq!(out.remaining(), 1);
+        out.push(0x5566);
+        out.push(0x7788);
+        assert_eq!(out.remaining(), 0);
+        assert_eq!(data, [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0xEE]);
     }
 
     #[test]
@@ -225,9 +217,9 @@ mod tests {
         let table = [0b1010_0101, 0b0011_1100, 0b1111_0000];
         for first in 0..30 {
             for quantity in 1..=24 {
-                let (mut packed, mut single) = ([0xEE; 3], [0; 3]);
-                BitsMut::new(&mut packed, quantity).copy_from(&table, first);
-                BitsMut::new(&mut single, quantity).fill((first..).map(|index| bit(&table, index)));
+                let (mut packed, mut single) = ([0xEE; 3], [0xEE; 3]);
+                BitWriter::new(&mut packed, quantity).copy_from(&table, first);
+                BitWriter::new(&mut single, quantity).extend((first..).map(|index| bit(&table, index)));
                 let used = bytes_of_bits(quantity);
                 assert_eq!(packed[..used], single[..used], "{quantity} from {first}");
                 assert!(packed[used..].iter().all(|byte| *byte == 0xEE), "bytes past the last bit stay");
@@ -258,11 +250,13 @@ mod tests {
         let bits = Bits::new(&[0xFF, 0xFF], 9);
         assert_eq!((bits.len(), bits.get(8), bits.get(9)), (9, Some(true), None));
         assert_eq!(bits.iter().count(), 9);
-        let mut bytes = [0; 2];
-        let mut out = BitsMut::new(&mut bytes, 9);
-        out.fill([true; 20]);
-        out.set(9, true);
-        out.set(0, false);
+        let mut bytes = [0xEE; 2];
+        let mut out = BitWriter::new(&mut bytes, 9);
+        out.push(false);
+        assert_eq!(out.remaining(), 8);
+        out.extend([true; 20]);
+        out.push(true);
+        assert_eq!(out.remaining(), 0);
         assert_eq!(bytes, [0xFE, 0x01]);
     }
 }

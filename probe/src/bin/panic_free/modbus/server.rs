@@ -3,7 +3,7 @@
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Audience, Bits, BitsMut, RamTables, Registers, RegistersMut, Server, malformed, serve_ascii,
+    self, Audience, BitWriter, Bits, RamTables, RegisterWriter, Registers, Server, malformed, serve_ascii,
     serve_rtu,
 };
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, Range, RequestError, ascii, tcp};
@@ -35,16 +35,16 @@ fn views() {
     bits.iter().for_each(sink);
     buffer::<40>(|table| bits.copy_to(table, word()));
     buffer::<40>(|data| {
-        let mut registers = RegistersMut::new(data);
-        sink((registers.len(), registers.is_empty(), registers.get(size())));
-        registers.set(size(), word());
-        registers.fill((0..size()).map(|_| word()));
+        let mut registers = RegisterWriter::new(data);
+        registers.push(word());
+        sink(registers.remaining());
+        registers.extend((0..size()).map(|_| word()));
     });
     buffer::<40>(|data| {
-        let mut bits = BitsMut::new(data, word());
-        sink((bits.len(), bits.is_empty()));
-        bits.set(word(), flag());
-        bits.fill((0..size()).map(|_| flag()));
+        let mut bits = BitWriter::new(data, word());
+        bits.push(flag());
+        sink(bits.remaining());
+        bits.extend((0..size()).map(|_| flag()));
         bits.copy_from(bytes(), word());
     });
 }
@@ -80,16 +80,16 @@ fn serves(server: &mut impl Server) {
 #[inline(never)]
 fn methods(server: &mut impl Server) {
     sink(server.supports(function()));
-    buffer::<300>(|data| sink(server.read_coils(range(), BitsMut::new(data, word()))));
-    buffer::<300>(|data| sink(server.read_discrete_inputs(range(), BitsMut::new(data, word()))));
-    buffer::<300>(|data| sink(server.read_holding_registers(range(), RegistersMut::new(data))));
-    buffer::<300>(|data| sink(server.read_input_registers(range(), RegistersMut::new(data))));
+    buffer::<300>(|data| sink(server.read_coils(range(), &mut BitWriter::new(data, word()))));
+    buffer::<300>(|data| sink(server.read_discrete_inputs(range(), &mut BitWriter::new(data, word()))));
+    buffer::<300>(|data| sink(server.read_holding_registers(range(), &mut RegisterWriter::new(data))));
+    buffer::<300>(|data| sink(server.read_input_registers(range(), &mut RegisterWriter::new(data))));
     sink(server.write_coils(range(), Bits::new(bytes(), word())));
     sink(server.write_registers(range(), Registers::new(bytes())));
     sink(server.mask_write_register(word(), word(), word()));
     buffer::<300>(|data| {
         let values = Registers::new(bytes());
-        sink(server.read_write_registers(range(), values, range(), RegistersMut::new(data)));
+        sink(server.read_write_registers(range(), values, range(), &mut RegisterWriter::new(data)));
     });
 }
 
@@ -114,31 +114,31 @@ impl Server for Anything {
         flag()
     }
 
-    fn read_coils(&mut self, _: Range, mut bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, _: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         bits.copy_from(bytes(), word());
         judge()
     }
 
-    fn read_discrete_inputs(&mut self, _: Range, mut bits: BitsMut<'_>) -> Result<(), ExceptionCode> {
-        bits.set(word(), flag());
+    fn read_discrete_inputs(&mut self, _: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+        bits.push(flag());
         judge()
     }
 
     fn read_holding_registers(
         &mut self,
         _: Range,
-        mut registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
-        registers.set(size(), word());
+        registers.push(word());
         judge()
     }
 
     fn read_input_registers(
         &mut self,
         _: Range,
-        mut registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
-        registers.fill(core::iter::repeat_with(word));
+        registers.extend(core::iter::repeat_with(word));
         judge()
     }
 
@@ -162,10 +162,10 @@ impl Server for Anything {
         write: Range,
         values: Registers<'_>,
         read: Range,
-        mut registers: RegistersMut<'_>,
+        registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         sink((write, values, read));
-        registers.set(size(), word());
+        registers.push(word());
         judge()
     }
 
@@ -173,10 +173,9 @@ impl Server for Anything {
         judge().map(|()| byte())
     }
 
-    fn diagnostics(&mut self, what: Diagnostic, mut data: RegistersMut<'_>) -> Result<(), ExceptionCode> {
-        sink(what);
-        data.set(size(), word());
-        judge()
+    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+        sink((what, data));
+        judge().map(|()| flag().then(word))
     }
 
     fn comm_event_counter(&mut self) -> Result<(u16, u16), ExceptionCode> {

@@ -1,0 +1,5 @@
+//! A transfer into CAN frames.
+#![no_std]
+#![no_main]
+
+jointbus_bench_m4::image!(jointbus_bench_subjects::transfer::Cut);

@@ -1,0 +1,5 @@
+//! CAN frames into a transfer.
+#![no_std]
+#![no_main]
+
+jointbus_bench_m4::image!(jointbus_bench_subjects::transfer::Join);

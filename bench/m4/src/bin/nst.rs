@@ -1,0 +1,5 @@
+//! The NST dispatcher.
+#![no_std]
+#![no_main]
+
+jointbus_bench_m4::image!(jointbus_bench_subjects::device::Nst);

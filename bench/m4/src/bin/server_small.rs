@@ -1,0 +1,5 @@
+//! The general server with the CRC table of 32 bytes.
+#![no_std]
+#![no_main]
+
+jointbus_bench_m4::image!(jointbus_bench_subjects::server::WithSmallTable);
