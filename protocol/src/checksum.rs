@@ -93,6 +93,13 @@ pub fn seal(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
     writer.slice(&crc.to_le_bytes())
 }
 
+/// Puts the CRC of what is before them into the last two bytes of a frame.
+pub(crate) fn close(frame: &mut [u8]) {
+    if let Some((content, crc)) = frame.split_last_chunk_mut::<CRC_LENGTH>() {
+        *crc = crc16(content).to_le_bytes();
+    }
+}
+
 /// A frame of an address, what `content` writes, and the CRC.
 pub(crate) fn frame(
     address: u8,

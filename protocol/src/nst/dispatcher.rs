@@ -1,11 +1,12 @@
 use super::can::{self, Segments};
 use super::register::{self, Access, SETTINGS_LENGTH, Values};
 use super::{
-    ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, Reply, Request, SAMPLE_LENGTH,
+    ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request,
     Sample, SignEncoding, serial, stream,
 };
+use crate::checksum::{self, CRC_LENGTH};
 use crate::error::error_text;
-use crate::wire::{NoSpace, Writer};
+use crate::wire::copy;
 
 /// The settings could not be stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -166,11 +167,13 @@ impl<H: Hardware> Daq<H> {
     /// # Errors
     /// [`Silence`]: why there is no answer.
     pub fn serve_serial<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
-        let frame = serial::Frame::decode(frame).ok_or(Silence::Checksum)?;
-        let mut data = [0; REPLY_DATA_MAX];
-        let room = out.len().saturating_sub(serial::OVERHEAD);
-        let reply = self.serve_within(room, frame.address, frame.body, &mut data)?;
-        serial::encode_reply(frame.address, &reply, out).map_err(|NoSpace| Silence::NoSpace)
+        let serial::Frame { address, body } = serial::Frame::decode(frame).ok_or(Silence::Checksum)?;
+        let reply = self.serve_around(address, body, (1, CRC_LENGTH), out)?;
+        if let Some(first) = reply.first_mut() {
+            *first = address;
+        }
+        checksum::close(reply);
+        Ok(reply)
     }
 
     /// Answers a frame of USB, TCP, or a datagram of UDP into `out`.
@@ -179,9 +182,11 @@ impl<H: Hardware> Daq<H> {
     /// [`Silence`]: why there is no answer.
     pub fn serve_stream<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
         let (address, body) = stream::split(frame).ok_or(Silence::Malformed(BodyError::Length))?;
-        let mut data = [0; REPLY_DATA_MAX];
-        let reply = self.serve_within(out.len().saturating_sub(1), address, body, &mut data)?;
-        stream::encode_reply(address, &reply, out).map_err(|NoSpace| Silence::NoSpace)
+        let reply = self.serve_around(address, body, (1, 0), out)?;
+        if let Some(first) = reply.first_mut() {
+            *first = address;
+        }
+        Ok(reply)
     }
 
     /// Answers a transfer on CAN from node `source` to node `destination`: the frames of the answer, whose body is put
@@ -199,11 +204,12 @@ impl<H: Hardware> Daq<H> {
         buffer: &'b mut [u8; can::TRANSFER_MAX],
     ) -> Result<Segments<'b>, Silence> {
         let node = self.active.address;
-        let mut data = [0; can::READ_MAX];
-        let reply = self.serve(destination, body, &mut data)?;
-        let mut writer = Writer::new(buffer);
-        reply.encode(&mut writer).map_err(|NoSpace| Silence::NoSpace)?;
-        can::segment(node, source, writer.finish()).map_err(|can::TransferLength| Silence::NoSpace)
+        let reply =
+            self.serve_around(destination, body, (0, 0), buffer).map_err(|silence| match silence {
+                Silence::NoSpace => Silence::Refused(Refusal::Length),
+                other => other,
+            })?;
+        can::segment(node, source, reply).map_err(|can::TransferLength| Silence::NoSpace)
     }
 
     /// Answers the body of a request to `address`, which on CAN is the destination node.
@@ -211,27 +217,7 @@ impl<H: Hardware> Daq<H> {
     /// # Errors
     /// [`Silence`]: why there is no answer.
     pub fn serve<'b>(&mut self, address: u8, body: &[u8], data: &'b mut [u8]) -> Result<Reply<'b>, Silence> {
-        self.serve_within(usize::MAX, address, body, data)
-    }
-
-    /// [`Daq::serve`] for a reply whose body has no more room than this: who can't be answered is not served.
-    fn serve_within<'b>(
-        &mut self,
-        room: usize,
-        address: u8,
-        body: &[u8],
-        data: &'b mut [u8],
-    ) -> Result<Reply<'b>, Silence> {
-        if address != self.active.address && address != BROADCAST {
-            return Err(Silence::OtherAddress);
-        }
-        let request = Request::decode(body).map_err(Silence::Malformed)?;
-        if address == BROADCAST && request.function().is_read() {
-            return Err(Silence::BroadcastRead);
-        }
-        if address != BROADCAST && serial::ExpectedReply::new(address, &request).body_length() > room {
-            return Err(Silence::NoSpace);
-        }
+        let request = self.judge(address, body)?;
         let result = self.dispatch(&request, data);
         if address == BROADCAST {
             return Err(Silence::Broadcast(result.err()));
@@ -239,63 +225,121 @@ impl<H: Hardware> Daq<H> {
         result.map_err(Silence::Refused)
     }
 
+    /// Whether a body is a request to this device.
+    fn judge<'r>(&self, address: u8, body: &'r [u8]) -> Result<Request<'r>, Silence> {
+        if address != self.active.address && address != BROADCAST {
+            return Err(Silence::OtherAddress);
+        }
+        let request = Request::decode(body).map_err(Silence::Malformed)?;
+        if address == BROADCAST && request.function().is_read() {
+            return Err(Silence::BroadcastRead);
+        }
+        Ok(request)
+    }
+
+    /// Answers a body into `out`, with so many bytes before and behind the answer left to the caller. Who can't be
+    /// answered is not served.
+    fn serve_around<'b>(
+        &mut self,
+        address: u8,
+        body: &[u8],
+        (before, behind): (usize, usize),
+        out: &'b mut [u8],
+    ) -> Result<&'b mut [u8], Silence> {
+        let request = self.judge(address, body)?;
+        if address == BROADCAST {
+            return Err(Silence::Broadcast(self.carry_out(&request, &mut []).err()));
+        }
+        let (function, length) = (request.function(), request.length());
+        let data_length = if function.is_read() { usize::from(length) } else { 0 };
+        let end = before.wrapping_add(REPLY_HEADER).wrapping_add(data_length);
+        let frame = out.get_mut(..end.wrapping_add(behind)).ok_or(Silence::NoSpace)?;
+        let reply = frame.get_mut(before..end).ok_or(Silence::NoSpace)?;
+        let [code, count, data @ ..] = reply else { return Err(Silence::NoSpace) };
+        (*code, *count) = (function.code(), length);
+        self.carry_out(&request, data).map_err(Silence::Refused)?;
+        Ok(frame)
+    }
+
     /// Judges a request whole, then carries it out whole. What a read reads is put into `data`.
     ///
     /// # Errors
     /// [`Refusal`], and nothing has changed.
     pub fn dispatch<'b>(&mut self, request: &Request<'_>, data: &'b mut [u8]) -> Result<Reply<'b>, Refusal> {
-        let function = request.function();
+        let (function, length) = (request.function(), request.length());
+        if !function.is_read() {
+            self.carry_out(request, &mut [])?;
+            return Ok(Reply::Acknowledge { function, length });
+        }
+        let data = data.get_mut(..usize::from(length)).ok_or(Refusal::Length)?;
+        self.carry_out(request, data)?;
+        Ok(Reply::Data { function, data })
+    }
+
+    /// `data` has the length that a read asks for.
+    fn carry_out(&mut self, request: &Request<'_>, data: &mut [u8]) -> Result<(), Refusal> {
         let exactly = |register: register::Register| {
             request.register() == register.first && u16::from(request.length()) == register.length
         };
         match *request {
-            Request::Write { register, data } => self.write(register, data)?,
-            Request::Command { function: FunctionCode::Read, register, length } => {
-                return self.read(function, register, length, data);
-            }
+            Request::Write { register, data } => self.write(register, data),
+            Request::Command { function: FunctionCode::Read, register, .. } => self.read(register, data),
             Request::Command { function: FunctionCode::Search, register, length } => {
                 let wanted = register::IP_ADDRESS.length.saturating_add(register::IP_PORT.length);
                 if register != register::IP_ADDRESS.first || u16::from(length) != wanted {
                     return Err(Refusal::CommandForm);
                 }
-                return self.read(function, register, length, data);
+                self.read(register, data)
             }
             Request::Command { function: FunctionCode::SetZero, .. } if exactly(register::ZERO_POINTS) => {
                 let sample = self.hardware.sample();
-                self.store_zero(sample)?;
+                self.store_zero(sample)
             }
             Request::Command { function: FunctionCode::ClearZero, .. } if exactly(register::ZERO_POINTS) => {
-                self.store_zero(Sample::default())?;
+                self.store_zero(Sample::default())
             }
-            Request::Command { function: FunctionCode::Restart, register: 0, length: 1 } => self.restart(),
-            Request::Command { function: FunctionCode::Connect, .. } => {}
-            Request::Command { .. } => return Err(Refusal::CommandForm),
+            Request::Command { function: FunctionCode::Restart, register: 0, length: 1 } => {
+                self.restart();
+                Ok(())
+            }
+            Request::Command { function: FunctionCode::Connect, .. } => Ok(()),
+            Request::Command { .. } => Err(Refusal::CommandForm),
         }
-        Ok(Reply::Acknowledge { function, length: request.length() })
     }
 
-    fn read<'b>(
-        &mut self,
-        function: FunctionCode,
-        register: u16,
-        length: u8,
-        data: &'b mut [u8],
-    ) -> Result<Reply<'b>, Refusal> {
+    fn read(&mut self, register: u16, data: &mut [u8]) -> Result<(), Refusal> {
         // a device sends one byte fewer than a master takes
-        if length == 0 || usize::from(length) >= REPLY_DATA_MAX {
+        if data.is_empty() || data.len() >= REPLY_DATA_MAX {
             return Err(Refusal::Length);
         }
-        let end = register.checked_add(u16::from(length)).ok_or(Refusal::Register)?;
-        if end.saturating_sub(1) > register::DATA.last() {
+        let first = usize::from(register);
+        if first.saturating_add(data.len()) > usize::from(register::DATA.last()).saturating_add(1) {
             return Err(Refusal::Register);
         }
-        let data = data.get_mut(..usize::from(length)).ok_or(Refusal::Length)?;
-        let measured: [u8; SAMPLE_LENGTH] = self.sample().encode(self.sign);
-        let all = self.hardware.settings().iter().chain(&measured).copied().chain(core::iter::repeat(0));
-        for (byte, value) in data.iter_mut().zip(all.skip(usize::from(register))) {
-            *byte = value;
+        let data = match self.hardware.settings().get(first..) {
+            Some(stored @ [_, ..]) => {
+                let (settings, measured) = data.split_at_mut(stored.len().min(data.len()));
+                copy(stored, settings);
+                measured
+            }
+            _ => data,
+        };
+        if data.is_empty() {
+            return Ok(());
         }
-        Ok(Reply::Data { function, data })
+        match data.split_first_chunk_mut() {
+            Some((place, zeros)) if first <= SETTINGS_LENGTH => {
+                self.sample().encode_into(self.sign, place);
+                zeros.iter_mut().for_each(|byte| *byte = 0);
+            }
+            _ => {
+                let sample = self.sample().encode(self.sign);
+                let values = sample.iter().copied().skip(first.saturating_sub(SETTINGS_LENGTH));
+                let values = values.chain(core::iter::repeat(0));
+                data.iter_mut().zip(values).for_each(|(byte, value)| *byte = value);
+            }
+        }
+        Ok(())
     }
 
     fn write(&mut self, first: u16, data: &[u8]) -> Result<(), Refusal> {
@@ -387,7 +431,7 @@ error_text! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nst::REPLY_HEADER;
+    use crate::wire::Writer;
     use std::vec::Vec;
 
     fn daq() -> Daq<RamHardware> {

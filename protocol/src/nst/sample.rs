@@ -90,10 +90,15 @@ impl Sample {
     #[must_use]
     pub fn encode(&self, sign: SignEncoding) -> [u8; SAMPLE_LENGTH] {
         let mut bytes = [0; SAMPLE_LENGTH];
+        self.encode_into(sign, &mut bytes);
+        bytes
+    }
+
+    /// [`Sample::encode`] to where it is sent from.
+    pub(crate) fn encode_into(&self, sign: SignEncoding, bytes: &mut [u8; SAMPLE_LENGTH]) {
         for (raw, axis) in bytes.as_chunks_mut::<3>().0.iter_mut().zip(self.0) {
             *raw = sign.encode_i24(axis);
         }
-        bytes
     }
 
     /// Fx Fy Fz in N and Tx Ty Tz in N.m, from mN and mN.m.
