@@ -43,7 +43,7 @@ fn every_erratum_is_corrected() {
 
 /// What the module answers.
 fn ask<'d>(module: &mut RamModule, request: &Request<'_>, data: &'d mut [u8]) -> Response<'d> {
-    dispatch(module, request, data)
+    Response::decode(dispatch(module, request, data).expect("room")).expect("a response")
 }
 
 fn module() -> RamModule {

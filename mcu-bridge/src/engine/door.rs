@@ -134,7 +134,8 @@ impl Engine {
             Ok(asked) => asked,
             Err(error) => {
                 let [counters, ..] = &mut self.counters;
-                return self.output.respond(counters, unit, &modbus::server::malformed(error));
+                let (function, exception) = modbus::server::malformed(error);
+                return self.output.refuse(counters, unit, function.code(), exception);
             }
         };
         let function = asked.function();
@@ -160,14 +161,16 @@ impl Engine {
         if !self.output.has_room() {
             return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
         }
-        let mut data = [0; modbus::PDU_MAX];
+        let mut out = [0; modbus::PDU_MAX];
         let response = match bus {
-            Bus::LocalOutputs => self.outputs.dispatch(asked, &mut data),
-            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut data),
+            Bus::LocalOutputs => self.outputs.dispatch(asked, &mut out),
+            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut out),
             _ => return self.serve_own(unit, pdu, now),
         };
-        let [counters, ..] = &mut self.counters;
-        self.output.respond(counters, unit, &response);
+        if let Ok(response) = response {
+            let [counters, ..] = &mut self.counters;
+            self.output.relay(counters, unit, response);
+        }
     }
 
     /// A broadcast of Modbus: writes only, never answered.
@@ -180,13 +183,14 @@ impl Engine {
         for bus in to {
             let row = routes.iter().find(|row| row.is_used() && row.bus == *bus && !row.protocol.is_nst());
             let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
-            let mut data = [0; modbus::PDU_MAX];
+            // function code, address, and value or quantity: nobody gets to see it
+            let mut unseen = [0; 5];
             match bus {
                 Bus::LocalIo => {
-                    ndam9010::dispatch(&mut self.io, &asked, &mut data);
+                    let _ = ndam9010::dispatch(&mut self.io, &asked, &mut unseen);
                 }
                 Bus::LocalOutputs => {
-                    self.outputs.dispatch(&asked, &mut data);
+                    let _ = self.outputs.dispatch(&asked, &mut unseen);
                 }
                 _ => self.send_broadcast(*bus, asked.function().code(), row, on_bus(row, frame), now),
             }

@@ -1,8 +1,10 @@
 use super::register::{AREA_BITS, AREA_REGISTERS, Area};
 use crate::error::error_text;
+use crate::modbus::server::{Failure, data_unit, reading, written};
 use crate::modbus::{
-    COIL_OFF, COIL_ON, ExceptionCode, Range, Request, Response, bit, bytes_of_bits, registers,
+    COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, Range, Request, bit, bytes_of_bits, registers,
 };
+use crate::wire::{NoSpace, Writer};
 
 /// Most channels of one kind in a module.
 pub const CHANNELS_MAX: u8 = 16;
@@ -142,38 +144,57 @@ impl Module for RamModule {
     }
 }
 
-/// Judges a request to a module whole, then carries it out whole. What a read reads is put into `data`.
+/// Judges a request to a module whole, then carries it out whole; the data unit of the response, written into `out`.
 ///
 /// Exceptions (the manual names none): 01 for other function codes; 02 past the last present register or bit, across
 /// areas, and for writes of inputs; 03 for quantities, byte counts and coil values; 04 and 06 from the driver.
-pub fn dispatch<'d>(module: &mut impl Module, request: &Request<'_>, data: &'d mut [u8]) -> Response<'d> {
+///
+/// # Errors
+/// [`NoSpace`], and nothing has been written.
+pub fn dispatch<'b>(
+    module: &mut impl Module,
+    request: &Request<'_>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], NoSpace> {
+    data_unit(request, out, |writer| answer(module, request, writer))
+}
+
+pub(super) fn answer(
+    module: &mut impl Module,
+    request: &Request<'_>,
+    writer: &mut Writer<'_>,
+) -> Result<(), Failure> {
     let function = request.function();
-    let result = match *request {
+    match *request {
         Request::ReadCoils(range) | Request::ReadDiscreteInputs(range) => {
-            read_bits(module, range, data).map(|data| Response::Read { function, data })
+            read_bits(module, function, range, writer)
         }
         Request::ReadHoldingRegisters(range) | Request::ReadInputRegisters(range) => {
-            read_registers(module, range, data).map(|data| Response::Read { function, data })
+            read_registers(module, function, range, writer)
         }
-        Request::WriteSingleCoil { address, value } => match value {
-            COIL_ON => write_bits(module, Range::new(address, 1), &[1]),
-            COIL_OFF => write_bits(module, Range::new(address, 1), &[0]),
-            _ => Err(ExceptionCode::IllegalDataValue),
+        Request::WriteSingleCoil { address, value } => {
+            let bit = match value {
+                COIL_ON => [1],
+                COIL_OFF => [0],
+                _ => return Err(ExceptionCode::IllegalDataValue.into()),
+            };
+            written(function, [address, value], writer)?;
+            Ok(write_bits(module, Range::new(address, 1), &bit)?)
         }
-        .map(|()| Response::WriteSingle { function, address, value }),
         Request::WriteSingleRegister { address, value } => {
-            write_registers(module, Range::new(address, 1), &value.to_be_bytes())
-                .map(|()| Response::WriteSingle { function, address, value })
+            written(function, [address, value], writer)?;
+            Ok(write_registers(module, Range::new(address, 1), &value.to_be_bytes())?)
         }
         Request::WriteMultipleCoils { range, data } => {
-            write_bits(module, range, data).map(|()| Response::WriteMultiple { function, range })
+            written(function, [range.start, range.quantity], writer)?;
+            Ok(write_bits(module, range, data)?)
         }
         Request::WriteMultipleRegisters { range, data } => {
-            write_registers(module, range, data).map(|()| Response::WriteMultiple { function, range })
+            written(function, [range.start, range.quantity], writer)?;
+            Ok(write_registers(module, range, data)?)
         }
-        _ => Err(ExceptionCode::IllegalFunction),
-    };
-    result.unwrap_or_else(|exception| Response::exception(function, exception))
+        _ => Err(ExceptionCode::IllegalFunction.into()),
+    }
 }
 
 impl From<ChannelError> for ExceptionCode {
@@ -242,19 +263,20 @@ fn digital(module: &mut impl Module, area: Area) -> Result<u16, ExceptionCode> {
     })
 }
 
-fn read_bits<'d>(
+fn read_bits(
     module: &mut impl Module,
+    function: FunctionCode,
     range: Range,
-    data: &'d mut [u8],
-) -> Result<&'d [u8], ExceptionCode> {
+    writer: &mut Writer<'_>,
+) -> Result<(), Failure> {
     let (area, first) = locate_bits(module, range)?;
-    let data = data.get_mut(..bytes_of_bits(range.quantity)).ok_or(ExceptionCode::ServerDeviceFailure)?;
+    let data = reading(function, bytes_of_bits(range.quantity), writer)?;
     let bits = digital(module, area)?.checked_shr(first.into()).unwrap_or(0) & mask_of(range.quantity);
     // no more than sixteen bits are ever present
     for (byte, value) in data.iter_mut().zip(bits.to_le_bytes()) {
         *byte = value;
     }
-    Ok(data)
+    Ok(())
 }
 
 /// The lowest `quantity` bits.
@@ -262,27 +284,27 @@ fn mask_of(quantity: u16) -> u16 {
     mask(u8::try_from(quantity).unwrap_or(CHANNELS_MAX))
 }
 
-fn read_registers<'d>(
+fn read_registers(
     module: &mut impl Module,
+    function: FunctionCode,
     range: Range,
-    data: &'d mut [u8],
-) -> Result<&'d [u8], ExceptionCode> {
+    writer: &mut Writer<'_>,
+) -> Result<(), Failure> {
     let (area, first) = locate_registers(module, range)?;
-    let length = usize::from(range.quantity).saturating_mul(2);
-    let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
+    let data = reading(function, usize::from(range.quantity).saturating_mul(2), writer)?;
     let mut values = [0; CHANNELS_MAX as usize];
     let end = usize::from(first.saturating_add(range.quantity));
     let wanted = values.get_mut(..end).ok_or(ExceptionCode::IllegalDataAddress)?;
     match area {
         Area::DigitalInput | Area::DigitalOutput => wanted.fill(digital(module, area)?),
-        Area::AnalogInput => module.analog_inputs(wanted)?,
-        Area::AnalogOutput => module.analog_outputs(wanted)?,
+        Area::AnalogInput => module.analog_inputs(wanted).map_err(ExceptionCode::from)?,
+        Area::AnalogOutput => module.analog_outputs(wanted).map_err(ExceptionCode::from)?,
     }
     let values = values.iter().skip(usize::from(first));
     for (place, value) in data.as_chunks_mut::<2>().0.iter_mut().zip(values) {
         *place = value.to_be_bytes();
     }
-    Ok(data)
+    Ok(())
 }
 
 fn write_bits(module: &mut impl Module, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
@@ -332,8 +354,8 @@ error_text! {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::modbus::ExpectedResponse;
     use crate::modbus::PDU_MAX;
-    use crate::modbus::rtu::{self, ExpectedResponse};
     use std::vec::Vec;
 
     const FULL: Layout =
@@ -350,17 +372,20 @@ mod tests {
 
     /// The response's data unit, or the exception's code.
     fn ask(module: &mut RamModule, pdu: &[u8]) -> Result<Vec<u8>, u8> {
-        let (mut data, mut out) = ([0xEE; PDU_MAX], [0xEE; rtu::FRAME_MAX]);
+        let mut out = [0xEE; PDU_MAX];
         let request = Request::decode(pdu).unwrap();
-        let response = dispatch(module, &request, &mut data);
-        let frame = rtu::encode_response(1, &response, &mut out).unwrap();
-        assert!(ExpectedResponse::new(1, &request).accepts(frame));
-        if let Response::Exception { exception, .. } = response {
-            return Err(exception.code());
+        let before = module.clone();
+        let response = dispatch(module, &request, &mut out).unwrap();
+        assert!(ExpectedResponse::new(1, &request).accepts_pdu(response));
+        for space in 0..response.len() {
+            let mut other = before.clone();
+            assert_eq!(dispatch(&mut other, &request, &mut [0; PDU_MAX][..space]), Err(NoSpace));
+            assert_eq!((other.outputs, other.analog_outputs), (before.outputs, before.analog_outputs));
         }
-        let mut writer = crate::wire::Writer::new(&mut out);
-        response.encode(&mut writer).unwrap();
-        Ok(writer.finish().to_vec())
+        match response {
+            [function, code] if *function >= 0x80 => Err(*code),
+            _ => Ok(response.to_vec()),
+        }
     }
 
     #[test]

@@ -1,7 +1,11 @@
-use super::{MODULES_MAX, Module, UNIT_MAX, dispatch};
+use super::{MODULES_MAX, Module, UNIT_MAX, dispatcher};
 use crate::error::error_text;
-use crate::modbus::server::{Audience, Silence, serve_ascii, serve_rtu};
-use crate::modbus::{BROADCAST, Request, Response, ascii};
+use crate::modbus::server::{Audience, Failure, Silence, serve_ascii, serve_rtu};
+use crate::modbus::{BROADCAST, Request, ascii};
+use crate::wire::Writer;
+
+/// Function code, address, and value or quantity.
+const WRITE_RESPONSE: usize = 5;
 
 /// Why a station can't be configured so.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,7 +54,7 @@ impl<M: Module, const N: usize> Station<M, N> {
         serve_rtu(
             frame,
             |unit| audience(start, N, unit),
-            |unit, request, data| answer(start, modules, unit, request, data),
+            |unit, request, writer| answer(start, modules, unit, request, writer),
             out,
         )
     }
@@ -68,7 +72,7 @@ impl<M: Module, const N: usize> Station<M, N> {
         serve_ascii(
             frame,
             |unit| audience(start, N, unit),
-            |unit, request, data| answer(start, modules, unit, request, data),
+            |unit, request, writer| answer(start, modules, unit, request, writer),
             out,
         )
     }
@@ -87,31 +91,30 @@ fn audience(start: u8, modules: usize, unit: u8) -> Audience {
     }
 }
 
-fn answer<'d, M: Module>(
+fn answer<M: Module>(
     start: u8,
     modules: &mut [M],
     unit: u8,
     request: &Request<'_>,
-    data: &'d mut [u8],
-) -> Response<'d> {
+    writer: &mut Writer<'_>,
+) -> Result<(), Failure> {
     match place(start, unit).and_then(|place| modules.get_mut(place)) {
-        Some(module) => dispatch(module, request, data),
+        Some(module) => dispatcher::answer(module, request, writer),
         None => broadcast(modules, request),
     }
 }
 
 /// Every module judges a broadcast for itself; the last refusal is told.
-fn broadcast<M: Module>(modules: &mut [M], request: &Request<'_>) -> Response<'static> {
-    let mut refusal = None;
+fn broadcast<M: Module>(modules: &mut [M], request: &Request<'_>) -> Result<(), Failure> {
+    let mut result = Ok(());
     for module in modules {
-        if let Response::Exception { exception, .. } = dispatch(module, request, &mut []) {
-            refusal = Some(exception);
+        // nobody gets to see the response
+        let mut unseen = [0; WRITE_RESPONSE];
+        if let refused @ Err(_) = dispatcher::answer(module, request, &mut Writer::new(&mut unseen)) {
+            result = refused;
         }
     }
-    match refusal {
-        Some(exception) => Response::exception(request.function(), exception),
-        None => Response::Other { function: request.function(), data: &[] },
-    }
+    result
 }
 
 error_text! {

@@ -1,10 +1,9 @@
 use core::convert::Infallible;
 
 use super::{BROADCAST, CHANNELS, Channel, External, OutputRange, Register, Settings};
-use crate::modbus::server::{Audience, Silence, serve_rtu};
-use crate::modbus::{
-    ExceptionCode, READ_REGISTERS_MAX, Range, Request, Response, WRITE_REGISTERS_MAX, registers,
-};
+use crate::modbus::server::{Audience, Failure, Silence, data_unit, reading, serve_rtu, written};
+use crate::modbus::{ExceptionCode, READ_REGISTERS_MAX, Range, Request, WRITE_REGISTERS_MAX, registers};
+use crate::wire::{NoSpace, Writer};
 
 /// What a card's firmware puts behind its dispatcher.
 pub trait Hardware {
@@ -107,44 +106,44 @@ impl<H: Hardware> Card<H> {
             _ if unit == id => Audience::Unit,
             _ => Audience::Other,
         };
-        serve_rtu(frame, audience, |_, request, data| self.dispatch(request, data), out)
+        serve_rtu(frame, audience, |_, request, writer| self.answer(request, writer), out)
     }
 
-    /// Judges a request whole, then carries it out whole. What a read reads is put into `data`.
+    /// Judges a request whole, then carries it out whole; the data unit of the response, written into `out`.
     ///
     /// Exceptions (the manual names none): 01 for other function codes, 02 for odd or unmapped addresses and odd
     /// counts, 03 for values outside their set or range, 04 where the hardware fails.
-    pub fn dispatch<'d>(&mut self, request: &Request<'_>, data: &'d mut [u8]) -> Response<'d> {
-        let function = request.function();
-        let result = match *request {
+    ///
+    /// # Errors
+    /// [`NoSpace`], and nothing has been written.
+    pub fn dispatch<'b>(&mut self, request: &Request<'_>, out: &'b mut [u8]) -> Result<&'b [u8], NoSpace> {
+        data_unit(request, out, |writer| self.answer(request, writer))
+    }
+
+    fn answer(&mut self, request: &Request<'_>, writer: &mut Writer<'_>) -> Result<(), Failure> {
+        match *request {
             Request::ReadHoldingRegisters(range) => {
-                return match self.read(range, data) {
-                    Ok(data) => Response::Read { function, data },
-                    Err(exception) => Response::exception(function, exception),
-                };
+                let pairs = pairs(range, READ_REGISTERS_MAX)?;
+                let length = usize::from(range.quantity).saturating_mul(2);
+                let data = reading(request.function(), length, writer)?;
+                for (place, register) in data.as_chunks_mut::<4>().0.iter_mut().zip(pairs) {
+                    let value = register.and_then(|register| self.settings.read(register));
+                    let [a, b, c, d] = value.ok_or(ExceptionCode::IllegalDataAddress)?.to_be_bytes();
+                    *place = [c, d, a, b];
+                }
+                Ok(())
             }
-            Request::WriteMultipleRegisters { range, data } => self.write(range, data).map(|()| range),
-            _ => Err(ExceptionCode::IllegalFunction),
-        };
-        match result {
-            Ok(range) => Response::WriteMultiple { function, range },
-            Err(exception) => Response::exception(function, exception),
+            Request::WriteMultipleRegisters { range, data } => {
+                let settings = self.judge(range, data)?;
+                written(request.function(), [range.start, range.quantity], writer)?;
+                Ok(self.commit(settings).map_err(|_| ExceptionCode::ServerDeviceFailure)?)
+            }
+            _ => Err(ExceptionCode::IllegalFunction.into()),
         }
     }
 
-    fn read<'d>(&self, range: Range, data: &'d mut [u8]) -> Result<&'d [u8], ExceptionCode> {
-        let pairs = pairs(range, READ_REGISTERS_MAX)?;
-        let length = usize::from(range.quantity).saturating_mul(2);
-        let data = data.get_mut(..length).ok_or(ExceptionCode::ServerDeviceFailure)?;
-        for (place, register) in data.as_chunks_mut::<4>().0.iter_mut().zip(pairs) {
-            let value = register.and_then(|register| self.settings.read(register));
-            let [a, b, c, d] = value.ok_or(ExceptionCode::IllegalDataAddress)?.to_be_bytes();
-            *place = [c, d, a, b];
-        }
-        Ok(data)
-    }
-
-    fn write(&mut self, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
+    /// The settings that a write leaves behind.
+    fn judge(&self, range: Range, data: &[u8]) -> Result<Settings, ExceptionCode> {
         if data.len() != usize::from(range.quantity).saturating_mul(2) {
             return Err(ExceptionCode::IllegalDataValue);
         }
@@ -160,8 +159,7 @@ impl<H: Hardware> Card<H> {
                 .write(register, u32::from(high) << 16 | u32::from(low))
                 .ok_or(ExceptionCode::IllegalDataValue)?;
         }
-        let settings = change.judge().ok_or(ExceptionCode::IllegalDataValue)?;
-        self.commit(settings).map_err(|_| ExceptionCode::ServerDeviceFailure)
+        change.judge().ok_or(ExceptionCode::IllegalDataValue)
     }
 
     fn commit(&mut self, settings: Settings) -> Result<(), H::Error> {
@@ -260,8 +258,12 @@ const fn switch(value: u32) -> Option<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::modbus::PDU_MAX;
+    use crate::modbus::{PDU_MAX, Response};
     use std::vec::Vec;
+
+    fn ask<'b, H: Hardware>(card: &mut Card<H>, request: &Request<'_>, out: &'b mut [u8]) -> Response<'b> {
+        Response::decode(card.dispatch(request, out).unwrap()).unwrap()
+    }
 
     fn card() -> Card<RamHardware> {
         Card::power_up(RamHardware::default(), &Settings::default()).unwrap()
@@ -277,7 +279,7 @@ mod tests {
 
     fn write(card: &mut Card<RamHardware>, start: u16, values: &[u32]) -> Result<(), ExceptionCode> {
         let (range, data) = (Range::new(start, values.len() as u16 * 2), words(values));
-        match card.dispatch(&Request::WriteMultipleRegisters { range, data: &data }, &mut []) {
+        match ask(card, &Request::WriteMultipleRegisters { range, data: &data }, &mut [0xEE; 5]) {
             Response::WriteMultiple { range: written, .. } if written == range => Ok(()),
             Response::Exception { exception, .. } => Err(exception),
             other => panic!("{other:?}"),
@@ -286,7 +288,7 @@ mod tests {
 
     fn read(card: &mut Card<RamHardware>, start: u16, quantity: u16) -> Result<Vec<u8>, ExceptionCode> {
         let mut data = [0xEE; PDU_MAX];
-        match card.dispatch(&Request::ReadHoldingRegisters(Range::new(start, quantity)), &mut data) {
+        match ask(card, &Request::ReadHoldingRegisters(Range::new(start, quantity)), &mut data) {
             Response::Read { data, .. } => Ok(data.to_vec()),
             Response::Exception { exception, .. } => Err(exception),
             other => panic!("{other:?}"),
@@ -340,11 +342,11 @@ mod tests {
         assert_eq!(write(&mut card, 3, &[0]), Err(ADDRESS));
         assert_eq!(write(&mut card, 12, &[0, 0]), Err(ADDRESS));
         let short = Request::WriteMultipleRegisters { range: Range::new(2, 2), data: &[0, 0] };
-        assert!(matches!(card.dispatch(&short, &mut []), Response::Exception { exception: VALUE, .. }));
+        assert!(matches!(ask(&mut card, &short, &mut [0; 5]), Response::Exception { exception: VALUE, .. }));
         let other = Request::ReadInputRegisters(Range::new(2, 2));
         let illegal = ExceptionCode::IllegalFunction;
         assert!(
-            matches!(card.dispatch(&other, &mut []), Response::Exception { exception, .. } if exception == illegal)
+            matches!(ask(&mut card, &other, &mut [0; 5]), Response::Exception { exception, .. } if exception == illegal)
         );
     }
 
@@ -464,8 +466,11 @@ mod tests {
         let data = words(&[1]);
         let request = Request::WriteMultipleRegisters { range: Range::new(6, 2), data: &data };
         let failure = ExceptionCode::ServerDeviceFailure;
-        let response = card.dispatch(&request, &mut []);
+        let mut out = [0; 5];
+        let response = ask(&mut card, &request, &mut out);
         assert!(matches!(response, Response::Exception { exception, .. } if exception == failure));
+        card.hardware().0 = false;
+        assert_eq!(card.dispatch(&request, &mut [0; 4]), Err(NoSpace));
         assert!(!card.settings().channels[0].output);
     }
 }

@@ -120,10 +120,13 @@ pub trait Server {
     }
 }
 
-/// Why there is no response.
-#[derive(Debug, Clone, Copy)]
-enum Failure {
+/// Why a request has no response.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Failure {
+    /// It is refused.
     Exception(ExceptionCode),
+    /// The response does not fit the caller's buffer.
     NoSpace,
 }
 
@@ -177,17 +180,38 @@ pub(super) fn answer(
     } else {
         rarer(server, pdu, writer)
     };
+    conclude(result, code, start, writer).map_err(|NoSpace| Silence::NoSpace)
+}
+
+/// Puts an exception in place of a response that was begun at `start`, if there is one; tells it.
+pub(super) fn conclude(
+    result: Result<(), Failure>,
+    code: u8,
+    start: usize,
+    writer: &mut Writer<'_>,
+) -> Result<Option<ExceptionCode>, NoSpace> {
     match result {
         Ok(()) => Ok(None),
-        Err(Failure::NoSpace) => Err(Silence::NoSpace),
+        Err(Failure::NoSpace) => Err(NoSpace),
         Err(Failure::Exception(exception)) => {
             writer.truncate(start);
-            writer
-                .slice(&[code | FunctionCode::EXCEPTION_FLAG, exception.code()])
-                .map_err(|NoSpace| Silence::NoSpace)?;
+            writer.u8(code | FunctionCode::EXCEPTION_FLAG)?;
+            writer.u8(exception.code())?;
             Ok(Some(exception))
         }
     }
+}
+
+/// The data unit of the response that `answer` appends, or of the exception that it refuses with.
+pub(crate) fn data_unit<'b>(
+    request: &Request<'_>,
+    out: &'b mut [u8],
+    answer: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
+) -> Result<&'b [u8], NoSpace> {
+    let mut writer = Writer::new(out);
+    let result = answer(&mut writer);
+    conclude(result, request.function().code(), 0, &mut writer)?;
+    Ok(writer.finish())
 }
 
 /// The eight basic function codes.
@@ -250,6 +274,27 @@ fn basic(
         _ => return Err(ExceptionCode::IllegalFunction.into()),
     }
     Ok(())
+}
+
+/// Appends function code and byte count of the response to a read; the place of its data.
+pub(crate) fn reading<'w>(
+    function: FunctionCode,
+    bytes: usize,
+    writer: &'w mut Writer<'_>,
+) -> Result<&'w mut [u8], Failure> {
+    writer.u8(function.code())?;
+    writer.u8(u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?)?;
+    Ok(writer.reserve(bytes)?)
+}
+
+/// Appends the response to a write: function code, and the first two values of the request.
+pub(crate) fn written(
+    function: FunctionCode,
+    [first, second]: [u16; 2],
+    writer: &mut Writer<'_>,
+) -> Result<(), Failure> {
+    writer.u8(function.code())?;
+    Ok(echo(writer, first, second)?)
 }
 
 /// All others.

@@ -1,7 +1,9 @@
+use super::respond::{Failure, conclude};
+use crate::checksum::{self, CRC_LENGTH};
 use crate::error::error_text;
-use crate::modbus::rtu::{self, Frame, FrameError};
-use crate::modbus::{ExceptionCode, FunctionCode, PDU_MAX, Request, RequestError, Response, ascii};
-use crate::wire::NoSpace;
+use crate::modbus::rtu::{Frame, FrameError};
+use crate::modbus::{ExceptionCode, FunctionCode, Request, RequestError, ascii};
+use crate::wire::{NoSpace, Writer};
 
 /// To whom a unit address speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,25 +31,29 @@ pub enum Silence {
     BroadcastRead,
     /// No server is asked by function code 0 or one above 0x7F: a response of another one, or noise.
     NoRequest,
-    /// The response does not fit the caller's buffer. A [`Server`](super::Server) has written nothing then; behind
-    /// [`serve_rtu`] a write has been carried out all the same.
+    /// The response does not fit the caller's buffer; nothing has been written.
     NoSpace,
 }
 
-/// Answers an RTU frame into `out`: `dispatch` gets the unit, the request and room for the data of a read.
+/// Answers an RTU frame into `out`: `dispatch` gets the unit and the request, and appends the data unit of the response.
+///
+/// `out` must have room for the response, also where a broadcast has none.
 ///
 /// # Errors
 /// [`Silence`]: why there is no answer.
 pub fn serve_rtu<'b>(
     frame: &[u8],
     audience: impl FnOnce(u8) -> Audience,
-    dispatch: impl for<'d> FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
+    dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
     out: &'b mut [u8],
 ) -> Result<&'b [u8], Silence> {
     let Frame { unit, pdu } = Frame::decode(frame).map_err(Silence::Frame)?;
-    let mut data = [0; PDU_MAX];
-    let response = judge(unit, pdu, audience, dispatch, &mut data)?;
-    rtu::encode_response(unit, &response, out).map_err(|NoSpace| Silence::NoSpace)
+    // the CRC must find room after what was asked has been done
+    let room = out.len().checked_sub(CRC_LENGTH).ok_or(Silence::NoSpace)?;
+    let used = judge(unit, pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
+    let frame = out.get_mut(..used.saturating_add(CRC_LENGTH)).ok_or(Silence::NoSpace)?;
+    checksum::close(frame);
+    Ok(frame)
 }
 
 /// [`serve_rtu`] for a frame of Modbus ASCII; the answer is the whole frame in characters.
@@ -57,62 +63,57 @@ pub fn serve_rtu<'b>(
 pub fn serve_ascii<'b>(
     frame: &ascii::Frame<'_>,
     audience: impl FnOnce(u8) -> Audience,
-    dispatch: impl for<'d> FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
+    dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
     out: &'b mut [u8],
 ) -> Result<&'b [u8], Silence> {
-    let mut data = [0; PDU_MAX];
-    let response = judge(frame.unit, frame.pdu, audience, dispatch, &mut data)?;
-    ascii::encode_response(frame.unit, &response, out).map_err(|NoSpace| Silence::NoSpace)
+    // bytes become characters after what was asked has been done
+    let room = ascii::content_length(out.len());
+    let used = judge(frame.unit, frame.pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
+    ascii::spread(out, used).map_err(|NoSpace| Silence::NoSpace)
 }
 
-fn judge<'d>(
+/// Writes unit address and data unit of the response; its length.
+fn judge(
     unit: u8,
     pdu: &[u8],
     audience: impl FnOnce(u8) -> Audience,
-    dispatch: impl FnOnce(u8, &Request<'_>, &'d mut [u8]) -> Response<'d>,
-    data: &'d mut [u8],
-) -> Result<Response<'d>, Silence> {
+    dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
+    out: &mut [u8],
+) -> Result<usize, Silence> {
     let audience = audience(unit);
     if audience == Audience::Other {
         return Err(Silence::OtherUnit);
     }
-    let response = match Request::decode(pdu) {
+    let mut writer = Writer::new(out);
+    writer.u8(unit).map_err(|NoSpace| Silence::NoSpace)?;
+    let (function, result) = match Request::decode(pdu) {
         Ok(Request::Other { function: FunctionCode::Unknown(0x00 | 0x80..), .. }) => {
             return Err(Silence::NoRequest);
         }
         Ok(request) if audience == Audience::Broadcast && request.is_read() => {
             return Err(Silence::BroadcastRead);
         }
-        Ok(request) => dispatch(unit, &request, data),
-        Err(error) => malformed(error),
-    };
-    match (audience, response) {
-        (Audience::Broadcast, Response::Exception { exception, .. }) => {
-            Err(Silence::Broadcast(Some(exception)))
+        Ok(request) => (request.function(), dispatch(unit, &request, &mut writer)),
+        Err(error) => {
+            let (function, exception) = malformed(error);
+            (function, Err(exception.into()))
         }
-        (Audience::Broadcast, _) => Err(Silence::Broadcast(None)),
-        _ => Ok(response),
+    };
+    let exception = conclude(result, function.code(), 1, &mut writer).map_err(|NoSpace| Silence::NoSpace)?;
+    match audience {
+        Audience::Broadcast => Err(Silence::Broadcast(exception)),
+        Audience::Unit | Audience::Other => Ok(writer.written().len()),
     }
 }
 
-/// The answer to what is no request: exception 03 where a length or byte count does not fit a function code of the
+/// What refuses bytes that are no request: exception 03 where a length or byte count does not fit a function code of the
 /// devices in this crate, 01 for the others.
 #[must_use]
-pub const fn malformed(error: RequestError) -> Response<'static> {
-    use FunctionCode as F;
+pub const fn malformed(error: RequestError) -> (FunctionCode, ExceptionCode) {
     match error {
-        RequestError::Empty => Response::exception(F::Unknown(0), ExceptionCode::IllegalFunction),
-        RequestError::Length(
-            function @ (F::ReadCoils
-            | F::ReadDiscreteInputs
-            | F::ReadHoldingRegisters
-            | F::ReadInputRegisters
-            | F::WriteSingleCoil
-            | F::WriteSingleRegister
-            | F::WriteMultipleCoils
-            | F::WriteMultipleRegisters),
-        ) => Response::exception(function, ExceptionCode::IllegalDataValue),
-        RequestError::Length(function) => Response::exception(function, ExceptionCode::IllegalFunction),
+        RequestError::Empty => (FunctionCode::Unknown(0), ExceptionCode::IllegalFunction),
+        RequestError::Length(function) if function.is_basic() => (function, ExceptionCode::IllegalDataValue),
+        RequestError::Length(function) => (function, ExceptionCode::IllegalFunction),
     }
 }
 

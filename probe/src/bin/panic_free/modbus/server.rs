@@ -3,10 +3,12 @@
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Audience, BitWriter, Bits, RamTables, RegisterWriter, Registers, Server, malformed, serve_ascii,
-    serve_rtu,
+    self, Audience, BitWriter, Bits, Failure, RamTables, RegisterWriter, Registers, Server, malformed,
+    serve_ascii, serve_rtu,
 };
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, Range, RequestError, ascii, tcp};
+
+use jointbus_protocol::wire::Writer;
 
 use super::{exception, function, range, response};
 use crate::opaque::{any, buffer, byte, bytes, flag, sink, size, word};
@@ -58,9 +60,14 @@ fn devices() {
         _ => Audience::Other,
     };
     let frame = ascii::Frame { unit: byte(), pdu: bytes() };
-    buffer::<300>(|out| sink(serve_rtu(bytes(), audience, |_, _, _| response(), out)));
-    buffer::<600>(|out| sink(serve_ascii(&frame, audience, |_, _, _| response(), out)));
+    buffer::<300>(|out| sink(serve_rtu(bytes(), audience, |_, _, writer| append(writer), out)));
+    buffer::<600>(|out| sink(serve_ascii(&frame, audience, |_, _, writer| append(writer), out)));
     sink(malformed(if flag() { RequestError::Empty } else { RequestError::Length(function()) }));
+}
+
+fn append(writer: &mut Writer<'_>) -> Result<(), Failure> {
+    response().encode(writer)?;
+    Ok(judge()?)
 }
 
 #[inline(never)]
