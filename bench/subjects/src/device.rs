@@ -40,7 +40,7 @@ pub struct Nxi(Card<Outputs>);
 
 impl Subject for Nxi {
     const REQUESTS: &'static [Request] =
-        &[Request::new("write of one value", &[1, 0x10, 0, 2, 0, 2, 4, 0, 0, 0x13, 0x88])];
+        &[Request::new("write of one value", &[1, 0x10, 0, 4, 0, 2, 4, 0, 0, 0x40, 0x20])];
 
     fn new() -> Self {
         let Ok(card) = Card::power_up(Outputs, &Settings::default());

@@ -300,7 +300,7 @@ fn read_registers(
         Area::AnalogInput => module.analog_inputs(wanted).map_err(ExceptionCode::from)?,
         Area::AnalogOutput => module.analog_outputs(wanted).map_err(ExceptionCode::from)?,
     }
-    let values = values.iter().skip(usize::from(first));
+    let values = values.get(usize::from(first)..).unwrap_or(&[]);
     for (place, value) in data.as_chunks_mut::<2>().0.iter_mut().zip(values) {
         *place = value.to_be_bytes();
     }

@@ -2,7 +2,7 @@ use core::convert::Infallible;
 
 use super::{BROADCAST, CHANNELS, Channel, External, OutputRange, Register, Settings};
 use crate::modbus::server::{Audience, Failure, Silence, data_unit, reading, serve_rtu, written};
-use crate::modbus::{ExceptionCode, READ_REGISTERS_MAX, Range, Request, WRITE_REGISTERS_MAX, registers};
+use crate::modbus::{ExceptionCode, READ_REGISTERS_MAX, Range, Request, WRITE_REGISTERS_MAX};
 use crate::wire::{NoSpace, Writer};
 
 /// What a card's firmware puts behind its dispatcher.
@@ -123,43 +123,41 @@ impl<H: Hardware> Card<H> {
     fn answer(&mut self, request: &Request<'_>, writer: &mut Writer<'_>) -> Result<(), Failure> {
         match *request {
             Request::ReadHoldingRegisters(range) => {
-                let pairs = pairs(range, READ_REGISTERS_MAX)?;
+                judge(range, READ_REGISTERS_MAX)?;
                 let length = usize::from(range.quantity).saturating_mul(2);
                 let data = reading(request.function(), length, writer)?;
-                for (place, register) in data.as_chunks_mut::<4>().0.iter_mut().zip(pairs) {
-                    let value = register.and_then(|register| self.settings.read(register));
+                let mut address = range.start;
+                for place in data.as_chunks_mut::<4>().0 {
+                    let value = Register::at(address).and_then(|register| self.settings.read(register));
                     let [a, b, c, d] = value.ok_or(ExceptionCode::IllegalDataAddress)?.to_be_bytes();
                     *place = [c, d, a, b];
+                    address = address.wrapping_add(2);
                 }
                 Ok(())
             }
             Request::WriteMultipleRegisters { range, data } => {
-                let settings = self.judge(range, data)?;
+                judge(range, WRITE_REGISTERS_MAX)?;
+                if data.len() != usize::from(range.quantity).saturating_mul(2) {
+                    return Err(ExceptionCode::IllegalDataValue.into());
+                }
                 written(request.function(), [range.start, range.quantity], writer)?;
-                Ok(self.commit(settings).map_err(|_| ExceptionCode::ServerDeviceFailure)?)
+                Ok(self.change(range.start, data)?)
             }
             _ => Err(ExceptionCode::IllegalFunction.into()),
         }
     }
 
-    /// The settings that a write leaves behind.
-    fn judge(&self, range: Range, data: &[u8]) -> Result<Settings, ExceptionCode> {
-        if data.len() != usize::from(range.quantity).saturating_mul(2) {
-            return Err(ExceptionCode::IllegalDataValue);
+    /// Writes values, of two registers each, and makes them true: all or none.
+    fn change(&mut self, address: u16, data: &[u8]) -> Result<(), ExceptionCode> {
+        let mut change = Change::new(&mut self.settings);
+        let result = match change.write_all(address, data) {
+            Ok(()) => self.hardware.commit(change.settings).map_err(|_| ExceptionCode::ServerDeviceFailure),
+            refused => refused,
+        };
+        if result.is_err() {
+            change.undo();
         }
-        if pairs(range, WRITE_REGISTERS_MAX)?.any(|register| register.is_none()) {
-            return Err(ExceptionCode::IllegalDataAddress);
-        }
-        let mut change =
-            Change { settings: self.settings, set_value: [false; CHANNELS], start_value: [false; CHANNELS] };
-        let mut words = registers(data);
-        for register in pairs(range, WRITE_REGISTERS_MAX)?.flatten() {
-            let (Some(low), Some(high)) = (words.next(), words.next()) else { break };
-            change
-                .write(register, u32::from(high) << 16 | u32::from(low))
-                .ok_or(ExceptionCode::IllegalDataValue)?;
-        }
-        change.judge().ok_or(ExceptionCode::IllegalDataValue)
+        result
     }
 
     fn commit(&mut self, settings: Settings) -> Result<(), H::Error> {
@@ -169,71 +167,117 @@ impl<H: Hardware> Card<H> {
     }
 }
 
-/// The register pairs of a request, in order; `None` in place of one that is not mapped.
-fn pairs(range: Range, max: u16) -> Result<impl Iterator<Item = Option<Register>>, ExceptionCode> {
+/// Quantity (exception 03), then whether there are whole pairs of registers (exception 02).
+fn judge(range: Range, max: u16) -> Result<(), ExceptionCode> {
     if range.quantity == 0 || range.quantity > max {
         return Err(ExceptionCode::IllegalDataValue);
     }
     if !range.start.is_multiple_of(2) || !range.quantity.is_multiple_of(2) || range.last().is_none() {
         return Err(ExceptionCode::IllegalDataAddress);
     }
-    Ok(range.addresses().step_by(2).map(Register::at))
+    Ok(())
 }
 
-/// Settings while a write is being put together.
-struct Change {
-    settings: Settings,
+/// Settings while they are written, with what they were; channel n is bit n.
+struct Change<'a> {
+    settings: &'a mut Settings,
+    /// The channels of which a value was written, as they were.
+    channels: [Option<Channel>; CHANNELS],
+    can_bit_rate: u32,
+    can_id: u32,
+    keep: bool,
     /// Which set values the write names itself.
-    set_value: [bool; CHANNELS],
+    set_named: u8,
     /// Which power-up set values the write names itself.
-    start_value: [bool; CHANNELS],
+    start_named: u8,
 }
 
-impl Change {
+/// The bit of a channel.
+const fn channel_bit(index: usize) -> u8 {
+    1u8.wrapping_shl(index as u32)
+}
+
+impl<'a> Change<'a> {
+    const fn new(settings: &'a mut Settings) -> Self {
+        let Settings { can_bit_rate, can_id, keep, .. } = *settings;
+        let channels = [None; CHANNELS];
+        Self { settings, channels, can_bit_rate, can_id, keep, set_named: 0, start_named: 0 }
+    }
+
+    /// The settings become what they were.
+    fn undo(self) {
+        for (channel, former) in self.settings.channels.iter_mut().zip(self.channels) {
+            *channel = former.unwrap_or(*channel);
+        }
+        let Self { can_bit_rate, can_id, keep, .. } = self;
+        *self.settings = Settings { can_bit_rate, can_id, keep, ..*self.settings };
+    }
+
+    /// A channel that is going to be written.
+    fn channel(&mut self, index: usize) -> Option<&mut Channel> {
+        let channel = self.settings.channels.get_mut(index)?;
+        self.channels.get_mut(index)?.get_or_insert(*channel);
+        Some(channel)
+    }
+
+    /// Takes values of two registers each, and judges what they leave behind.
+    fn write_all(&mut self, mut address: u16, data: &[u8]) -> Result<(), ExceptionCode> {
+        let mut fits = true;
+        for words in data.as_chunks::<4>().0 {
+            // an address that is not there is told before a value that does not fit
+            let register = Register::at(address).ok_or(ExceptionCode::IllegalDataAddress)?;
+            let [c, d, a, b] = *words;
+            fits &= self.write(register, u32::from_be_bytes([a, b, c, d])).is_some();
+            address = address.wrapping_add(2);
+        }
+        let fits = fits && self.judge().is_some();
+        if fits { Ok(()) } else { Err(ExceptionCode::IllegalDataValue) }
+    }
+
     /// Takes one value; `None` where it is outside its set. Limits of ranges are judged at the end.
     fn write(&mut self, register: Register, value: u32) -> Option<()> {
-        let settings = &mut self.settings;
-        let channels = &mut settings.channels;
         match register {
-            Register::Range(index) => channels.get_mut(index)?.range = OutputRange::from_value(value)?,
+            Register::Range(index) => self.channel(index)?.range = OutputRange::from_value(value)?,
             Register::SetValue(index) => {
-                channels.get_mut(index)?.set_value = f32::from_bits(value);
-                *self.set_value.get_mut(index)? = true;
+                self.channel(index)?.set_value = f32::from_bits(value);
+                self.set_named |= channel_bit(index);
             }
-            Register::Output(index) => channels.get_mut(index)?.output = switch(value)?,
-            Register::StartEnable(index) => channels.get_mut(index)?.start_enable = value,
-            Register::StartRange(index) => {
-                channels.get_mut(index)?.start_range = OutputRange::from_value(value)?;
-            }
+            Register::Output(index) => self.channel(index)?.output = switch(value)?,
+            Register::StartEnable(index) => self.channel(index)?.start_enable = value,
+            Register::StartRange(index) => self.channel(index)?.start_range = OutputRange::from_value(value)?,
             Register::StartValue(index) => {
-                channels.get_mut(index)?.start_value = f32::from_bits(value);
-                *self.start_value.get_mut(index)? = true;
+                self.channel(index)?.start_value = f32::from_bits(value);
+                self.start_named |= channel_bit(index);
             }
-            Register::External(index) => channels.get_mut(index)?.external = External::from_value(value)?,
+            Register::External(index) => self.channel(index)?.external = External::from_value(value)?,
             Register::CanBitRate => {
-                settings.can_bit_rate = Some(value).filter(|rate| (5000..=1_000_000).contains(rate))?;
+                self.settings.can_bit_rate = Some(value).filter(|rate| (5000..=1_000_000).contains(rate))?;
             }
-            Register::CanId => settings.can_id = Some(value).filter(|id| (1..=127).contains(id))?,
-            Register::Keep => settings.keep = switch(value)?,
+            Register::CanId => self.settings.can_id = Some(value).filter(|id| (1..=127).contains(id))?,
+            Register::Keep => self.settings.keep = switch(value)?,
             Register::FactoryReset => {
                 Some(value).filter(|value| *value == 1)?;
-                settings.factory_reset();
+                (0..CHANNELS).for_each(|index| {
+                    self.channel(index);
+                });
+                self.settings.factory_reset();
             }
         }
         Some(())
     }
 
-    /// The settings that the write leaves behind; `None` where a value that it names does not fit its range.
+    /// Judges what the write leaves behind; `None` where a value that it names does not fit its range.
     /// A value that it does not name and that no longer fits becomes 0: an output never jumps to a value that nobody
     /// asked for in that unit.
-    fn judge(mut self) -> Option<Settings> {
-        let named = self.set_value.into_iter().zip(self.start_value);
-        for (channel, (set_named, start_named)) in self.settings.channels.iter_mut().zip(named) {
-            let Channel { range, start_range, .. } = *channel;
-            fit(range, &mut channel.set_value, set_named)?;
-            fit(start_range, &mut channel.start_value, start_named)?;
+    fn judge(&mut self) -> Option<()> {
+        for (index, channel) in self.settings.channels.iter_mut().enumerate() {
+            if self.channels.get(index)?.is_some() {
+                let Channel { range, start_range, .. } = *channel;
+                fit(range, &mut channel.set_value, self.set_named & channel_bit(index) != 0)?;
+                fit(start_range, &mut channel.start_value, self.start_named & channel_bit(index) != 0)?;
+            }
         }
-        Some(self.settings)
+        Some(())
     }
 }
 

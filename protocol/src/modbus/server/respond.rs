@@ -184,6 +184,7 @@ pub(super) fn answer(
 }
 
 /// Puts an exception in place of a response that was begun at `start`, if there is one; tells it.
+#[inline]
 pub(super) fn conclude(
     result: Result<(), Failure>,
     code: u8,
@@ -195,8 +196,7 @@ pub(super) fn conclude(
         Err(Failure::NoSpace) => Err(NoSpace),
         Err(Failure::Exception(exception)) => {
             writer.truncate(start);
-            writer.u8(code | FunctionCode::EXCEPTION_FLAG)?;
-            writer.u8(exception.code())?;
+            writer.slice(&[code | FunctionCode::EXCEPTION_FLAG, exception.code()])?;
             Ok(Some(exception))
         }
     }
@@ -277,6 +277,7 @@ fn basic(
 }
 
 /// Appends function code and byte count of the response to a read; the place of its data.
+#[inline]
 pub(crate) fn reading<'w>(
     function: FunctionCode,
     bytes: usize,
@@ -288,6 +289,7 @@ pub(crate) fn reading<'w>(
 }
 
 /// Appends the response to a write: function code, and the first two values of the request.
+#[inline]
 pub(crate) fn written(
     function: FunctionCode,
     [first, second]: [u16; 2],
