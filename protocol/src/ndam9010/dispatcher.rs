@@ -1,9 +1,7 @@
 use super::register::{AREA_BITS, AREA_REGISTERS, Area};
 use crate::error::error_text;
-use crate::modbus::server::{Failure, data_unit, reading, written};
-use crate::modbus::{
-    COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, Range, Request, bit, bytes_of_bits, registers,
-};
+use crate::modbus::server::{Failure, RegisterWriter, complete, data_unit, reading, written};
+use crate::modbus::{COIL_OFF, COIL_ON, ExceptionCode, Range, Request, bit, bytes_of_bits, registers};
 use crate::wire::{NoSpace, Writer};
 
 /// Most channels of one kind in a module.
@@ -56,17 +54,17 @@ pub trait Module {
     /// [`ChannelError`], and no output has changed.
     fn set_digital_outputs(&mut self, mask: u16, value: u16) -> Result<(), ChannelError>;
 
-    /// The analog inputs from AI0, as many as `values` has room for.
+    /// The analog inputs from AI`first`, as many as `values` takes. Fewer are exception 04: none is made up.
     ///
     /// # Errors
     /// [`ChannelError`].
-    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError>;
+    fn analog_inputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError>;
 
-    /// The analog outputs from AO0 as they are set, as many as `values` has room for.
+    /// The analog outputs from AO`first` as they are set, as many as `values` takes.
     ///
     /// # Errors
     /// [`ChannelError`].
-    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError>;
+    fn analog_outputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError>;
 
     /// Sets the analog outputs from AO`first`; the values fit the layout.
     ///
@@ -104,10 +102,6 @@ impl RamModule {
     }
 }
 
-fn copy(from: &[u16], to: &mut [u16]) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
-}
-
 impl Module for RamModule {
     fn layout(&self) -> Layout {
         self.layout
@@ -127,13 +121,15 @@ impl Module for RamModule {
         Ok(())
     }
 
-    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
-        copy(&self.analog_inputs, values);
+    #[inline]
+    fn analog_inputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
+        values.extend(self.analog_inputs.get(first.into()..).unwrap_or(&[]).iter().copied());
         self.driver()
     }
 
-    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
-        copy(&self.analog_outputs, values);
+    #[inline]
+    fn analog_outputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
+        values.extend(self.analog_outputs.get(first.into()..).unwrap_or(&[]).iter().copied());
         self.driver()
     }
 
@@ -164,13 +160,13 @@ pub(super) fn answer(
     request: &Request<'_>,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
-    let function = request.function();
+    let code = request.function().code();
     match *request {
         Request::ReadCoils(range) | Request::ReadDiscreteInputs(range) => {
-            read_bits(module, function, range, writer)
+            read_bits(module, code, range, writer)
         }
         Request::ReadHoldingRegisters(range) | Request::ReadInputRegisters(range) => {
-            read_registers(module, function, range, writer)
+            read_registers(module, code, range, writer)
         }
         Request::WriteSingleCoil { address, value } => {
             let bit = match value {
@@ -178,19 +174,19 @@ pub(super) fn answer(
                 COIL_OFF => [0],
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
-            written(function, [address, value], writer)?;
+            written(code, [address, value], writer)?;
             Ok(write_bits(module, Range::new(address, 1), &bit)?)
         }
         Request::WriteSingleRegister { address, value } => {
-            written(function, [address, value], writer)?;
+            written(code, [address, value], writer)?;
             Ok(write_registers(module, Range::new(address, 1), &value.to_be_bytes())?)
         }
         Request::WriteMultipleCoils { range, data } => {
-            written(function, [range.start, range.quantity], writer)?;
+            written(code, [range.start, range.quantity], writer)?;
             Ok(write_bits(module, range, data)?)
         }
         Request::WriteMultipleRegisters { range, data } => {
-            written(function, [range.start, range.quantity], writer)?;
+            written(code, [range.start, range.quantity], writer)?;
             Ok(write_registers(module, range, data)?)
         }
         _ => Err(ExceptionCode::IllegalFunction.into()),
@@ -227,17 +223,17 @@ const fn mask(channels: u8) -> u16 {
 }
 
 /// Where in its area a run of registers starts; all of it must be present.
-fn locate_registers(module: &impl Module, range: Range) -> Result<(Area, u16), ExceptionCode> {
+fn locate_registers(module: &impl Module, range: Range) -> Result<(Area, u8), ExceptionCode> {
     if range.quantity == 0 || range.quantity > AREA_REGISTERS {
         return Err(ExceptionCode::IllegalDataValue);
     }
     let area = Area::of_register(range.start).ok_or(ExceptionCode::IllegalDataAddress)?;
     let first = range.start % AREA_REGISTERS;
     let end = first.saturating_add(range.quantity);
-    if end > module.layout().registers(area) {
-        return Err(ExceptionCode::IllegalDataAddress);
+    match u8::try_from(first) {
+        Ok(first) if end <= module.layout().registers(area) => Ok((area, first)),
+        _ => Err(ExceptionCode::IllegalDataAddress),
     }
-    Ok((area, first))
 }
 
 /// Where in its area a run of bits starts; all of it must lie in present registers.
@@ -265,12 +261,12 @@ fn digital(module: &mut impl Module, area: Area) -> Result<u16, ExceptionCode> {
 
 fn read_bits(
     module: &mut impl Module,
-    function: FunctionCode,
+    code: u8,
     range: Range,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     let (area, first) = locate_bits(module, range)?;
-    let data = reading(function, bytes_of_bits(range.quantity), writer)?;
+    let data = reading(code, bytes_of_bits(range.quantity), writer)?;
     let bits = digital(module, area)?.checked_shr(first.into()).unwrap_or(0) & mask_of(range.quantity);
     // no more than sixteen bits are ever present
     for (byte, value) in data.iter_mut().zip(bits.to_le_bytes()) {
@@ -286,25 +282,19 @@ fn mask_of(quantity: u16) -> u16 {
 
 fn read_registers(
     module: &mut impl Module,
-    function: FunctionCode,
+    code: u8,
     range: Range,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     let (area, first) = locate_registers(module, range)?;
-    let data = reading(function, usize::from(range.quantity).saturating_mul(2), writer)?;
-    let mut values = [0; CHANNELS_MAX as usize];
-    let end = usize::from(first.saturating_add(range.quantity));
-    let wanted = values.get_mut(..end).ok_or(ExceptionCode::IllegalDataAddress)?;
+    let data = reading(code, usize::from(range.quantity).saturating_mul(2), writer)?;
+    let mut values = RegisterWriter::new(data);
     match area {
-        Area::DigitalInput | Area::DigitalOutput => wanted.fill(digital(module, area)?),
-        Area::AnalogInput => module.analog_inputs(wanted).map_err(ExceptionCode::from)?,
-        Area::AnalogOutput => module.analog_outputs(wanted).map_err(ExceptionCode::from)?,
+        Area::DigitalInput | Area::DigitalOutput => values.push(digital(module, area)?),
+        Area::AnalogInput => module.analog_inputs(first, &mut values).map_err(ExceptionCode::from)?,
+        Area::AnalogOutput => module.analog_outputs(first, &mut values).map_err(ExceptionCode::from)?,
     }
-    let values = values.get(usize::from(first)..).unwrap_or(&[]);
-    for (place, value) in data.as_chunks_mut::<2>().0.iter_mut().zip(values) {
-        *place = value.to_be_bytes();
-    }
-    Ok(())
+    Ok(complete(values.remaining() == 0)?)
 }
 
 fn write_bits(module: &mut impl Module, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
@@ -338,7 +328,6 @@ fn write_registers(module: &mut impl Module, range: Range, data: &[u8]) -> Resul
         }
         Area::AnalogOutput => {
             let values = values.get(..usize::from(range.quantity)).unwrap_or(&[]);
-            let first = u8::try_from(first).map_err(|_| ExceptionCode::IllegalDataAddress)?;
             Ok(module.set_analog_outputs(first, values)?)
         }
     }

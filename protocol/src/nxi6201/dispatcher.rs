@@ -125,7 +125,7 @@ impl<H: Hardware> Card<H> {
             Request::ReadHoldingRegisters(range) => {
                 judge(range, READ_REGISTERS_MAX)?;
                 let length = usize::from(range.quantity).saturating_mul(2);
-                let data = reading(request.function(), length, writer)?;
+                let data = reading(request.function().code(), length, writer)?;
                 let mut address = range.start;
                 for place in data.as_chunks_mut::<4>().0 {
                     let value = Register::at(address).and_then(|register| self.settings.read(register));
@@ -140,7 +140,7 @@ impl<H: Hardware> Card<H> {
                 if data.len() != usize::from(range.quantity).saturating_mul(2) {
                     return Err(ExceptionCode::IllegalDataValue.into());
                 }
-                written(request.function(), [range.start, range.quantity], writer)?;
+                written(request.function().code(), [range.start, range.quantity], writer)?;
                 Ok(self.change(range.start, data)?)
             }
             _ => Err(ExceptionCode::IllegalFunction.into()),

@@ -1,6 +1,7 @@
 //! `ndam9010`: registers, the dispatcher of a module, and the station.
 
 use jointbus_protocol::modbus::ascii;
+use jointbus_protocol::modbus::server::RegisterWriter;
 use jointbus_protocol::ndam9010::register::Area;
 use jointbus_protocol::ndam9010::settings::{
     Mode, Parity, RamStorage, STORED_LENGTH, Settings, Storage, StoreError, Text, power_up,
@@ -104,13 +105,15 @@ impl Module for Anything {
         Self::or_fault(())
     }
 
-    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
-        values.fill_with(word);
+    fn analog_inputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
+        sink(first);
+        values.push(word());
         Self::or_fault(())
     }
 
-    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
-        values.fill_with(word);
+    fn analog_outputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
+        values.extend(core::iter::repeat_with(word));
+        sink(first);
         Self::or_fault(())
     }
 
@@ -124,10 +127,10 @@ impl Module for Anything {
 fn module(module: &mut impl Module) {
     buffer::<300>(|out| sink(dispatch(module, &request(), out)));
     sink(module.set_analog_outputs(byte(), &[any(0)]));
+    buffer::<40>(|data| sink(module.analog_inputs(byte(), &mut RegisterWriter::new(data))));
+    buffer::<40>(|data| sink(module.analog_outputs(byte(), &mut RegisterWriter::new(data))));
     let mut values = any([0; 40]);
     if let Some(values) = values.get_mut(..size()) {
-        sink(module.analog_inputs(values));
-        sink(module.analog_outputs(values));
         sink(module.set_analog_outputs(byte(), values));
     }
     sink((module.digital_inputs(), module.digital_outputs(), module.set_digital_outputs(word(), word())));

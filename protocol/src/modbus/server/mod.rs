@@ -17,6 +17,6 @@ mod view;
 pub use framing::{ascii, rtu, rtu_with, tcp};
 pub use ram::RamTables;
 pub use respond::{Failure, Server, respond};
-pub(crate) use respond::{data_unit, reading, written};
+pub(crate) use respond::{complete, data_unit, reading, written};
 pub use serial::{Audience, Silence, malformed, serve_ascii, serve_rtu};
 pub use view::{BitWriter, Bits, RegisterWriter, Registers};

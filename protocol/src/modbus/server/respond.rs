@@ -176,7 +176,7 @@ pub(super) fn answer(
     let result = if !server.supports(function) {
         Err(Failure::Exception(ExceptionCode::IllegalFunction))
     } else if function.is_basic() {
-        basic(server, function, reader, writer)
+        basic(server, code, function, reader, writer)
     } else {
         rarer(server, pdu, writer)
     };
@@ -217,12 +217,12 @@ pub(crate) fn data_unit<'b>(
 /// The eight basic function codes.
 fn basic(
     server: &mut impl Server,
+    code: u8,
     function: FunctionCode,
     mut reader: Reader<'_>,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     use FunctionCode as F;
-    writer.u8(function.code())?;
     let range @ Range { start: address, quantity: value } = request::range(&mut reader)?;
     let writes_many = matches!(function, F::WriteMultipleCoils | F::WriteMultipleRegisters);
     let data = if writes_many { request::counted(&mut reader)? } else { &[] };
@@ -231,7 +231,8 @@ fn basic(
     }
     match function {
         F::ReadCoils | F::ReadDiscreteInputs => {
-            let data = room(range, READ_BITS_MAX, bytes_of_bits(range.quantity), writer)?;
+            judge(range, READ_BITS_MAX, true)?;
+            let data = reading(code, bytes_of_bits(range.quantity), writer)?;
             let mut bits = BitWriter::new(data, range.quantity);
             match function {
                 F::ReadCoils => server.read_coils(range, &mut bits)?,
@@ -240,7 +241,8 @@ fn basic(
             complete(bits.remaining() == 0)?;
         }
         F::ReadHoldingRegisters | F::ReadInputRegisters => {
-            let data = room(range, READ_REGISTERS_MAX, bytes_of_registers(range.quantity), writer)?;
+            judge(range, READ_REGISTERS_MAX, true)?;
+            let data = reading(code, bytes_of_registers(range.quantity), writer)?;
             let mut registers = RegisterWriter::new(data);
             match function {
                 F::ReadHoldingRegisters => server.read_holding_registers(range, &mut registers)?,
@@ -254,21 +256,21 @@ fn basic(
                 COIL_OFF => 0,
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
-            echo(writer, address, value)?;
+            written(code, [address, value], writer)?;
             server.write_coils(Range::new(address, 1), Bits::new(&[on], 1))?;
         }
         F::WriteSingleRegister => {
-            echo(writer, address, value)?;
+            written(code, [address, value], writer)?;
             server.write_registers(Range::new(address, 1), Registers::new(&value.to_be_bytes()))?;
         }
         F::WriteMultipleCoils => {
             judge(range, WRITE_BITS_MAX, data.len() == bytes_of_bits(range.quantity))?;
-            echo(writer, address, value)?;
+            written(code, [address, value], writer)?;
             server.write_coils(range, Bits::new(data, range.quantity))?;
         }
         F::WriteMultipleRegisters => {
             judge(range, WRITE_REGISTERS_MAX, data.len() == bytes_of_registers(range.quantity))?;
-            echo(writer, address, value)?;
+            written(code, [address, value], writer)?;
             server.write_registers(range, Registers::new(data))?;
         }
         _ => return Err(ExceptionCode::IllegalFunction.into()),
@@ -279,44 +281,51 @@ fn basic(
 /// Appends function code and byte count of the response to a read; the place of its data.
 #[inline]
 pub(crate) fn reading<'w>(
-    function: FunctionCode,
+    function: u8,
     bytes: usize,
     writer: &'w mut Writer<'_>,
 ) -> Result<&'w mut [u8], Failure> {
-    writer.u8(function.code())?;
-    writer.u8(u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?)?;
-    Ok(writer.reserve(bytes)?)
+    let count = u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?;
+    let [code, place, data @ ..] = writer.reserve(bytes.saturating_add(2))? else {
+        return Err(Failure::NoSpace);
+    };
+    (*code, *place) = (function, count);
+    Ok(data)
 }
 
 /// Appends the response to a write: function code, and the first two values of the request.
 #[inline]
 pub(crate) fn written(
-    function: FunctionCode,
+    function: u8,
     [first, second]: [u16; 2],
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
-    writer.u8(function.code())?;
-    Ok(echo(writer, first, second)?)
+    let place = writer.reserve(5)?.first_chunk_mut().ok_or(Failure::NoSpace)?;
+    let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
+    *place = [function, a, b, c, d];
+    Ok(())
 }
 
 /// All others.
 fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_>) -> Result<(), Failure> {
     let request = Request::decode(pdu).map_err(|_| ExceptionCode::IllegalDataValue)?;
-    writer.u8(request.function().code())?;
+    let function = request.function();
+    if let Request::ReadWriteMultipleRegisters { read, write, data } = request {
+        let fits = data.len() == bytes_of_registers(write.quantity)
+            && (1..=READ_REGISTERS_MAX).contains(&read.quantity);
+        judge(write, READ_WRITE_REGISTERS_MAX, fits)?;
+        judge(read, READ_REGISTERS_MAX, true)?;
+        let mut registers =
+            RegisterWriter::new(reading(function.code(), bytes_of_registers(read.quantity), writer)?);
+        server.read_write_registers(write, Registers::new(data), read, &mut registers)?;
+        return Ok(complete(registers.remaining() == 0)?);
+    }
+    writer.u8(function.code())?;
     match request {
         Request::MaskWriteRegister { address, and, or } => {
             echo(writer, address, and)?;
             writer.u16_be(or)?;
             server.mask_write_register(address, and, or)?;
-        }
-        Request::ReadWriteMultipleRegisters { read, write, data } => {
-            let fits = data.len() == bytes_of_registers(write.quantity)
-                && (1..=READ_REGISTERS_MAX).contains(&read.quantity);
-            judge(write, READ_WRITE_REGISTERS_MAX, fits)?;
-            let place = room(read, READ_REGISTERS_MAX, bytes_of_registers(read.quantity), writer)?;
-            let mut registers = RegisterWriter::new(place);
-            server.read_write_registers(write, Registers::new(data), read, &mut registers)?;
-            complete(registers.remaining() == 0)?;
         }
         Request::ReadExceptionStatus => {
             let place = writer.reserve(1)?;
@@ -356,25 +365,13 @@ fn judge(range: Range, max: u16, fits: bool) -> Result<(), ExceptionCode> {
 }
 
 /// A value that the owner did not hand over is not made up.
-fn complete(all: bool) -> Result<(), ExceptionCode> {
+pub(crate) fn complete(all: bool) -> Result<(), ExceptionCode> {
     if all { Ok(()) } else { Err(ExceptionCode::ServerDeviceFailure) }
 }
 
 fn echo(writer: &mut Writer<'_>, first: u16, second: u16) -> Result<(), NoSpace> {
     writer.u16_be(first)?;
     writer.u16_be(second)
-}
-
-/// Judges a read, then makes room for its byte count and so many bytes.
-fn room<'w>(
-    range: Range,
-    max: u16,
-    bytes: usize,
-    writer: &'w mut Writer<'_>,
-) -> Result<&'w mut [u8], Failure> {
-    judge(range, max, true)?;
-    writer.u8(u8::try_from(bytes).map_err(|_| ExceptionCode::IllegalDataValue)?)?;
-    Ok(writer.reserve(bytes)?)
 }
 
 fn diagnose(

@@ -84,22 +84,17 @@ fn judge(
     if audience == Audience::Other {
         return Err(Silence::OtherUnit);
     }
+    let Some(code @ 0x01..0x80) = pdu.first().copied() else { return Err(Silence::NoRequest) };
     let mut writer = Writer::new(out);
     writer.u8(unit).map_err(|NoSpace| Silence::NoSpace)?;
-    let (function, result) = match Request::decode(pdu) {
-        Ok(Request::Other { function: FunctionCode::Unknown(0x00 | 0x80..), .. }) => {
-            return Err(Silence::NoRequest);
-        }
+    let result = match Request::decode(pdu) {
         Ok(request) if audience == Audience::Broadcast && request.is_read() => {
             return Err(Silence::BroadcastRead);
         }
-        Ok(request) => (request.function(), dispatch(unit, &request, &mut writer)),
-        Err(error) => {
-            let (function, exception) = malformed(error);
-            (function, Err(exception.into()))
-        }
+        Ok(request) => dispatch(unit, &request, &mut writer),
+        Err(error) => Err(malformed(error).1.into()),
     };
-    let exception = conclude(result, function.code(), 1, &mut writer).map_err(|NoSpace| Silence::NoSpace)?;
+    let exception = conclude(result, code, 1, &mut writer).map_err(|NoSpace| Silence::NoSpace)?;
     match audience {
         Audience::Broadcast => Err(Silence::Broadcast(exception)),
         Audience::Unit | Audience::Other => Ok(writer.written().len()),

@@ -72,9 +72,14 @@ impl<'a> RegisterWriter<'a> {
 /// The next values, until either end.
 impl Extend<u16> for RegisterWriter<'_> {
     fn extend<T: IntoIterator<Item = u16>>(&mut self, values: T) {
-        for (value, pair) in values.into_iter().zip(&mut self.pairs) {
+        // slices, because zipped with another one they make the shorter loop
+        let pairs = core::mem::take(&mut self.pairs).into_slice();
+        let mut written = 0usize;
+        for (pair, value) in pairs.iter_mut().zip(values) {
             *pair = value.to_be_bytes();
+            written = written.wrapping_add(1);
         }
+        self.pairs = pairs.get_mut(written..).unwrap_or_default().iter_mut();
     }
 }
 
