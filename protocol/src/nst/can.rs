@@ -8,13 +8,21 @@ use crate::can::{Frame, Id};
 use crate::codes::code_table;
 use crate::error::error_text;
 use crate::time::{Duration, Instant};
-use crate::wire;
 
 /// Most bytes of one transfer (4.2.1.2).
 pub const TRANSFER_MAX: usize = 128;
 
 /// Most frames of one transfer.
-pub const FRAMES_MAX: usize = TRANSFER_MAX / 8;
+pub const FRAMES_MAX: usize = TRANSFER_MAX / FRAME_DATA_MAX;
+
+/// A bit for each frame type that there is.
+const KNOWN_TYPES: u16 = 1 << FrameType::Single.code()
+    | 1 << FrameType::First.code()
+    | 1 << FrameType::Middle.code()
+    | 1 << FrameType::Last.code();
+
+/// Bytes of every frame but the last one.
+const FRAME_DATA_MAX: usize = 8;
 
 /// Most data bytes that one read moves.
 pub const READ_MAX: usize = TRANSFER_MAX - super::REPLY_HEADER;
@@ -206,9 +214,8 @@ struct Context {
     destination: u8,
     /// Number of the next frame; 0 while the context is free.
     counter: u8,
-    length: usize,
     last: Instant,
-    body: [u8; TRANSFER_MAX],
+    body: [[u8; FRAME_DATA_MAX]; FRAMES_MAX],
 }
 
 impl Context {
@@ -216,21 +223,12 @@ impl Context {
         source: 0,
         destination: 0,
         counter: 0,
-        length: 0,
         last: Instant::from_micros(0),
-        body: [0; TRANSFER_MAX],
+        body: [[0; FRAME_DATA_MAX]; FRAMES_MAX],
     };
 
     const fn is_free(&self) -> bool {
         self.counter == 0
-    }
-
-    fn append(&mut self, data: &[u8]) -> bool {
-        let end = self.length.saturating_add(data.len());
-        let Some(place) = self.body.get_mut(self.length..end) else { return false };
-        wire::copy(data, place);
-        self.length = end;
-        true
     }
 }
 
@@ -269,84 +267,65 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
 
     /// Takes a frame that ended at `now`.
     pub fn push(&mut self, frame: &Frame, now: Instant) -> Report<'_> {
-        let identifier = match frame.id() {
-            Id::Extended(raw) if !frame.is_remote() => Identifier::from_raw(raw),
-            _ => None,
+        let raw = match frame.id() {
+            Id::Extended(raw) if !frame.is_remote() => raw,
+            _ => return Report::wrong(Irregularity::NotNst),
         };
-        let Some(identifier) = identifier else { return Report::wrong(Irregularity::NotNst) };
-        if identifier.destination != self.node && identifier.destination != BROADCAST {
+        // `Identifier` by its bits: a branch for each frame type would be half of this function
+        let [0, source, destination, format] = raw.to_be_bytes() else {
+            return Report::wrong(Irregularity::NotNst);
+        };
+        if destination != self.node && destination != BROADCAST {
             return Report::wrong(Irregularity::OtherDestination);
         }
+        let (frame_type, counter) = (format >> 4, format & 0x0F);
+        if KNOWN_TYPES >> frame_type & 1 == 0 {
+            self.forget(source);
+            return Report::wrong(Irregularity::UnknownType);
+        }
+        let starts = frame_type & (FrameType::Single.code() | FrameType::First.code()) != 0;
+        let ends = frame_type & (FrameType::Single.code() | FrameType::Last.code()) != 0;
         let limit = self.limit;
+        let mine = self.contexts.iter().position(|context| !context.is_free() && context.source == source);
         // a transfer whose next frame is overdue holds its context no longer than until another source wants it
-        let mine = self
-            .contexts
-            .iter()
-            .position(|context| !context.is_free() && context.source == identifier.source);
-        let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
-        let place = mine.or_else(|| {
-            let overdue = |context: &Context| context.is_free() || now.since(context.last) > limit;
-            self.contexts.iter().position(overdue).filter(|_| starts)
-        });
+        let place = match mine {
+            None if starts => {
+                self.contexts.iter().position(|context| context.is_free() || now.since(context.last) > limit)
+            }
+            mine => mine,
+        };
         let Some(context) = place.and_then(|index| self.contexts.get_mut(index)) else {
             return Report::wrong(if starts { Irregularity::NoContext } else { Irregularity::NoFirst });
-        };
-        context.source = identifier.source;
-        Self::advance(context, identifier, frame.data(), mine.is_some(), limit, now)
-    }
-
-    fn advance<'c>(
-        context: &'c mut Context,
-        identifier: Identifier,
-        data: &[u8],
-        under_way: bool,
-        limit: Duration,
-        now: Instant,
-    ) -> Report<'c> {
-        let (starts, ends) = match identifier.frame_type {
-            FrameType::Single => (true, true),
-            FrameType::First => (true, false),
-            FrameType::Middle => (false, false),
-            FrameType::Last => (false, true),
-            FrameType::Unknown(_) => {
-                context.counter = 0;
-                return Report::wrong(Irregularity::UnknownType);
-            }
         };
         let expected = if starts { 0 } else { context.counter };
         let irregularity = if !starts && now.since(context.last) > limit {
             Some(Irregularity::Late)
-        } else if !starts && identifier.destination != context.destination {
+        } else if !starts && destination != context.destination {
             Some(Irregularity::OtherDestination)
-        } else if identifier.counter != expected {
+        } else if counter != expected {
             Some(Irregularity::Counter)
-        } else if data.is_empty() || (!ends && data.len() != 8) {
+        } else if frame.dlc() == 0 || (frame.dlc() < 8 && !ends) {
             Some(Irregularity::Length)
         } else {
             None
         };
-        if irregularity.is_some() {
+        // sixteen frames fill the body exactly, and the counter has no seventeenth
+        let place = context.body.get_mut(usize::from(counter));
+        let (None, Some(place)) = (irregularity, place) else {
             context.counter = 0;
             return Report { outcome: None, irregularity };
-        }
-        if starts {
-            context.length = 0;
-            context.destination = identifier.destination;
-        }
-        context.counter = identifier.counter.wrapping_add(1);
+        };
+        *place = *frame.payload();
+        (context.source, context.destination) = (source, destination);
         context.last = now;
-        // sixteen frames of eight bytes fill the body exactly, and the counter has no seventeenth
-        if !context.append(data) {
-            context.counter = 0;
-            return Report::wrong(Irregularity::Length);
-        }
-        let irregularity = (starts && under_way).then_some(Irregularity::Restarted);
+        let irregularity = (starts && mine.is_some()).then_some(Irregularity::Restarted);
         if !ends {
+            context.counter = counter.wrapping_add(1);
             return Report { outcome: Some(Outcome::More), irregularity };
         }
         context.counter = 0;
-        let body = context.body.get(..context.length).unwrap_or(&[]);
-        let Context { source, destination, .. } = *context;
+        let length = usize::from(counter).wrapping_mul(FRAME_DATA_MAX).wrapping_add(frame.data().len());
+        let body = context.body.as_flattened().get(..length).unwrap_or(&[]);
         Report { outcome: Some(Outcome::Complete { source, destination, body }), irregularity }
     }
 }
