@@ -17,8 +17,6 @@ mod time;
 mod uart;
 mod watchdog;
 
-use defmt_rtt as _;
-
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
@@ -149,7 +147,6 @@ mod app {
             no_can: can.is_none(),
             defaulted: loaded.is_err(),
         });
-        defmt::info!("jointbus: crystal {}, can {}", crystal, can.is_some());
 
         let ports = [
             (Port::Host, main1, Interrupt::USART1),
