@@ -1,4 +1,5 @@
-//! What a server or a dispatcher costs: images of `probe/` with and without it, measured and run in the emulator.
+//! What the bridge's image takes, and what a server or a dispatcher costs: images of `probe/` with and without it,
+//! measured and run in the emulator.
 
 use std::fs;
 use std::path::PathBuf;
@@ -7,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 
+use crate::contributors;
 use crate::firmware::{self, Usage};
 use crate::probe::{FEATURE, PACKAGE};
 use crate::run;
@@ -44,6 +46,7 @@ struct Run {
 /// Measures all and prints a table.
 pub(crate) fn size(workspace: &Workspace) -> Result<()> {
     setup::emulator()?;
+    image(workspace)?;
     let (empty, idle) = measure(workspace, FEATURE)?;
     println!("{TARGET}, profile {PROFILE} (opt-level s, fat LTO), in bytes:\n");
     println!("{:<50} {:>6} {:>10} {:>6}", "", "flash", "static RAM", "stack");
@@ -61,6 +64,17 @@ pub(crate) fn size(workspace: &Workspace) -> Result<()> {
          among them, on a painted stack; no bound, but what was used. Interrupts come on top. Below {} it cannot see.",
         idle.requests, idle.stack
     );
+    Ok(())
+}
+
+/// Prints what the bridge's image takes: in all, at worst on the stack, and by what.
+fn image(workspace: &Workspace) -> Result<()> {
+    let image = firmware::build(workspace)?;
+    image.report();
+    println!("\nworst-case stack, in bytes, each function with what is taken when it calls the next:\n");
+    println!("{}", image.worst.lines());
+    let file = fs::read(&image.elf).with_context(|| format!("cannot read {}", image.elf.display()))?;
+    println!("{}", contributors::lines(&file)?);
     Ok(())
 }
 

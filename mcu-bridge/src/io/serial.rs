@@ -10,8 +10,9 @@ use heapless::spsc::{Consumer, Producer, Queue};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
 
-/// Received bytes and ends of transmissions that wait for the main loop.
-pub const INCOMING: usize = 512;
+/// Received bytes and ends of transmissions that wait for the main loop: more than a whole frame, some 3 ms at the
+/// fastest rate.
+pub const INCOMING: usize = 288;
 
 /// Bytes that wait to be sent: a whole frame, so that an RS485 driver is never released inside one.
 pub const OUTGOING: usize = rtu::FRAME_MAX + 1;
