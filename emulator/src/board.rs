@@ -27,6 +27,8 @@ pub struct Board {
     flash: Flash,
     watchdog: Watchdog,
     has_bitten: bool,
+    /// Changes of the flash until the power goes, the one that it goes with included.
+    changes_left: Option<u32>,
     gpio: Gpio,
     adc: Adc,
     dac: Dac,
@@ -51,6 +53,7 @@ impl Default for Board {
             flash: Flash::new(),
             watchdog: Watchdog::new(),
             has_bitten: false,
+            changes_left: None,
             gpio: Gpio::new(),
             adc: Adc::new(),
             dac: Dac::default(),
@@ -166,6 +169,12 @@ impl Board {
     /// Programs bytes of the flash; tells what has changed.
     pub fn program_flash(&mut self, offset: u32, value: u32, size: u32) -> Option<Change> {
         self.flash.program(offset, value, size)
+    }
+
+    /// The flash changes; whether the power goes meanwhile.
+    pub fn power_goes(&mut self) -> bool {
+        self.changes_left = self.changes_left.map(|left| left.saturating_sub(1));
+        self.changes_left == Some(0)
     }
 
     /// Reads a register of the watchdog.
@@ -316,6 +325,7 @@ impl Board {
                 self.adc.connect(channel, value);
             }
             Control::Converter(works) => self.adc.set_working(works),
+            Control::PowerCut(changes) => self.changes_left = Some(changes),
             Control::Forget => {
                 self.gpio.forget();
                 self.usarts.iter_mut().for_each(Usart::forget);
@@ -495,6 +505,14 @@ mod tests {
         board.take_console_bytes(b"cause iwdg\n");
         board.reset(0);
         assert_eq!(board.read_rcc(0x74), 0x2e00_0000);
+    }
+
+    #[test]
+    fn the_power_goes_with_the_change_that_was_asked_for() {
+        let mut board = Board::new();
+        assert!(!board.power_goes());
+        board.take_console_bytes(b"cut 2\n");
+        assert_eq!([board.power_goes(), board.power_goes()], [false, true]);
     }
 
     #[test]

@@ -12,6 +12,7 @@
 //! | `pin PC0 1` `0` `z` | puts a level on a pin from outside, or leaves it open |
 //! | `adc 7 4095` | puts a value of 12 bits on a channel of the converter |
 //! | `adc on` `adc off` | the converter's conversions end, or never do |
+//! | `cut N` | the power goes in the middle of the Nth change of the flash from now on, and QEMU ends |
 //! | `forget all` | forgets changes of pins and transmissions |
 //!
 //! | question | answer |
@@ -70,6 +71,8 @@ pub enum Control {
     Analog(usize, u16),
     /// Whether conversions end.
     Converter(bool),
+    /// Which change of the flash from now on the power does not outlast, from 1.
+    PowerCut(u32),
     /// Forget changes of pins and transmissions.
     Forget,
 }
@@ -124,6 +127,7 @@ impl Control {
                 "off" => false,
                 _ => return None,
             }),
+            "cut" => Self::PowerCut(argument.parse().ok().filter(|changes| *changes > 0)?),
             "forget" if argument == "all" => Self::Forget,
             "ack" => Self::Acknowledge(switch(argument)?),
             "bus" => Self::Bus(switch(argument)?),
@@ -172,6 +176,7 @@ mod tests {
             ("pin PA1 z", Control::Pin(pin, Level(None))),
             ("adc 7 4095", Control::Analog(7, 4095)),
             ("adc off", Control::Converter(false)),
+            ("cut 3", Control::PowerCut(3)),
             ("forget all", Control::Forget),
         ] {
             assert_eq!(Line::parse(line), Some(Line::Control(expected)), "{line}");
@@ -204,6 +209,7 @@ mod tests {
             "adc 0 4096",
             "sent 1",
             "dac 0",
+            "cut 0",
             "pwm 5",
             "adc 0 0 0",
         ] {

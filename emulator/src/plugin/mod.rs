@@ -5,6 +5,7 @@
 //! language wants to see that, and none is held while QEMU is called.
 
 mod options;
+mod part;
 mod peripherals;
 mod port;
 mod qemu;
@@ -13,6 +14,7 @@ use crate::board::Board;
 use crate::control::Control;
 use crate::{bxcan, flash, iwdg, rcc};
 use options::Options;
+use part::Part;
 use peripherals::{Serial, SerialEffects, SerialState};
 use port::{Handlers, Port};
 use qemu::{
@@ -295,12 +297,20 @@ struct Effects {
 }
 
 impl State {
-    /// Keeps what has changed in the flash.
-    fn keep(&self, change: Option<flash::Change>) {
-        let (Some(file), Some(flash::Change { offset, length })) = (&self.flash, change) else { return };
-        let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
-        if let Err(error) = file.write_all_at(bytes, offset.into()) {
-            complain(&format!("the flash is not kept: {error}"));
+    /// Keeps what has changed in the flash, half of it where the power goes meanwhile.
+    fn keep(&mut self, change: Option<flash::Change>) {
+        let Some(flash::Change { offset, length }) = change else { return };
+        let is_last = self.board.power_goes();
+        let length = if is_last { length / 2 } else { length };
+        if let Some(file) = &self.flash {
+            let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
+            if let Err(error) = file.write_all_at(bytes, offset.into()) {
+                complain(&format!("the flash is not kept: {error}"));
+            }
+        }
+        if is_last {
+            // SAFETY: it ends the process at once, as a power cut does; nothing else is to happen
+            unsafe { libc::_exit(0) };
         }
     }
 
@@ -481,29 +491,6 @@ extern "C" fn write_watchdog(_opaque: Pointer, offset: u64, value: u64, _size: c
     }
 }
 
-/// The bytes of a register that an access touches.
-#[derive(Clone, Copy)]
-struct Part {
-    register: u32,
-    shift: u32,
-    mask: u32,
-}
-
-impl Part {
-    const fn of(offset: u64, size: c_uint) -> Self {
-        let shift = (offset as u32 & 3) * 8;
-        Self { register: offset as u32 & !3, shift, mask: u32::MAX >> (32 - 8 * size) << shift }
-    }
-
-    const fn read(self, whole: u32) -> u32 {
-        (whole & self.mask) >> self.shift
-    }
-
-    const fn write(self, whole: u32, value: u32) -> u32 {
-        whole & !self.mask | value << self.shift & self.mask
-    }
-}
-
 extern "C" fn can_room(_opaque: Pointer) -> c_int {
     with(|state| {
         let room = state.board.can_room();
@@ -574,21 +561,6 @@ fn resume(port: impl FnOnce(&'static Machine) -> Option<&'static Port>) -> c_int
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn parts_of_registers_are_cut_out_and_put_back() {
-        for (offset, size, read, written) in [
-            (0x74, 4, 0x1234_5678, 0xaabb_ccdd),
-            (0x74, 2, 0x5678, 0x1234_ccdd),
-            (0x76, 2, 0x1234, 0xccdd_5678),
-            (0x77, 1, 0x12, 0xdd34_5678),
-        ] {
-            let part = Part::of(offset, size);
-            assert_eq!(part.register, 0x74);
-            assert_eq!(part.read(0x1234_5678), read);
-            assert_eq!(part.write(0x1234_5678, 0xaabb_ccdd), written);
-        }
-    }
 
     #[test]
     fn outside_qemu_its_functions_are_missed_by_name() {

@@ -10,7 +10,7 @@ use std::time::Duration;
 /// Bytes of memory that are asked for at a time.
 const CHUNK: usize = 512;
 
-/// The processor, stopped. It goes on when this is dropped or [`Debugger::resume`]d.
+/// The processor, stopped until it is [`Debugger::resume`]d.
 #[derive(Debug)]
 pub struct Debugger {
     stream: TcpStream,
@@ -34,6 +34,16 @@ impl Debugger {
         // registers can be written once their description was read
         debugger.ask("qXfer:features:read:target.xml:0,fff")?;
         Ok(debugger)
+    }
+
+    /// Reads a register, by its number.
+    ///
+    /// # Errors
+    /// As [`Self::stop`].
+    pub fn register(&mut self, number: u8) -> Result<u32> {
+        let answer = self.ask(&format!("p{number:x}"))?;
+        // in the order of memory
+        Ok(u32::from_str_radix(&answer, 16).with_context(|| format!("no register: {answer}"))?.swap_bytes())
     }
 
     /// Writes a register, by its number.
@@ -96,20 +106,30 @@ impl Debugger {
     fn ask(&mut self, content: &str) -> Result<String> {
         let sum = content.bytes().fold(0u8, u8::wrapping_add);
         self.stream.write_all(format!("${content}#{sum:02x}").as_bytes())?;
-        let mut answer = String::new();
-        // an acknowledgement stands before the packet
+        loop {
+            let answer = self.packet()?;
+            // that the processor has stopped is told when it is, asked or not
+            if !answer.starts_with(['T', 'S']) {
+                return Ok(answer);
+            }
+        }
+    }
+
+    fn packet(&mut self) -> Result<String> {
+        let mut content = String::new();
+        // an acknowledgement may stand before it
         while self.byte()? != b'$' {}
         loop {
             match self.byte()? {
                 b'#' => break,
-                byte => answer.push(char::from(byte)),
+                byte => content.push(char::from(byte)),
             }
         }
         for _ in 0..2 {
             self.byte()?;
         }
         self.stream.write_all(b"+")?;
-        Ok(answer)
+        Ok(content)
     }
 
     fn byte(&mut self) -> Result<u8> {
