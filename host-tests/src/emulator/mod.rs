@@ -5,9 +5,9 @@
 //! this process, however it comes.
 //!
 //! A port serves one connection at a time. What the machine sends while nobody is connected is lost and holds
-//! nothing up. **A connected UART has to be read**: after some hundred unread writes QEMU stops the whole machine
-//! until they are. [`Emulator::capture`] reads a port into memory. The CAN port and the fault console never hold
-//! the machine up; the plugin drops what a client leaves unread for too long.
+//! nothing up. **A connected [`Port::Usart1`] has to be read**: after some hundred unread writes QEMU stops the whole
+//! machine until they are. [`Emulator::capture`] reads a port into memory. The others never hold the machine up; the
+//! plugin drops what a client leaves unread for too long.
 
 mod capture;
 mod debugger;
@@ -130,7 +130,7 @@ impl Emulator {
         self.addresses[port as usize]
     }
 
-    /// Connects to a port. A UART's connection has to be read; see the [module](self).
+    /// Connects to a port. The connection to USART1 has to be read; see the [module](self).
     ///
     /// # Errors
     /// Where QEMU has ended.

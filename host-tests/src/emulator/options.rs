@@ -49,6 +49,9 @@ pub struct Options {
     pub flash: Option<PathBuf>,
     /// With this, an instruction takes 2^N ns of the machine's time, however long the host needs for it.
     pub icount: Option<u8>,
+    /// With [`Options::icount`]: time in which the processor sleeps passes at once. The machine's time then owes nothing to
+    /// the host's clock, and whoever answers it from outside seems slow.
+    pub skip_idle: bool,
     /// Hold the machine before its first instruction, until [`Emulator::resume`], so that no port misses anything.
     pub paused: bool,
     /// Time that QEMU has to start, and to answer. Generous, for machines that have other things to do.
@@ -74,6 +77,7 @@ impl Options {
             watchdog: false,
             flash: None,
             icount: None,
+            skip_idle: false,
             paused: false,
             patience: Duration::from_secs(30),
             arguments: Vec::new(),
@@ -132,7 +136,8 @@ impl Options {
         }
         command.arg("-plugin").arg(plugin);
         if let Some(shift) = self.icount {
-            command.args(["-icount", &format!("shift={shift}")]);
+            let sleep = if self.skip_idle { "off" } else { "on" };
+            command.args(["-icount", &format!("shift={shift},sleep={sleep}")]);
         }
         command.args(["-chardev", &format!("socket,id=monitor,fd={monitor}")]);
         command.args(["-mon", "chardev=monitor,mode=control"]);
@@ -188,7 +193,7 @@ mod tests {
         assert!(line.starts_with(
             "-M netduinoplus2 -display none -monitor none -S -kernel image.elf -plugin a,,b.so,crystal=off"
         ));
-        assert!(line.contains("-icount shift=3"));
+        assert!(line.contains("-icount shift=3,sleep=on"));
         assert!(line.contains(
             "-chardev socket,id=usart1,host=127.0.0.1,port=5000,server=on,wait=off,nodelay=on -serial chardev:usart1"
         ));

@@ -38,7 +38,12 @@ fn pulses(emulator: &Emulator, pin: &str) -> Vec<(u64, u64)> {
 #[test]
 fn the_driver_is_on_from_before_the_first_bit_until_after_the_last_stop_bit_and_no_longer() {
     const REQUESTS: usize = 5;
-    let bench = Bench::emulated(&counted()).unwrap();
+    /// Longest time that the driver may be held: the interrupt's way, far below a bit at any rate.
+    const LONGEST_NS: u64 = 5000;
+    // the devices seem to take their time, so they get it
+    let limits = Limits { read_ms: 60_000, time_to_live_ms: 60_000, ..Limits::GENEROUS };
+    let mut bench = Bench::emulated(&counted()).unwrap();
+    bench.set_limits(&limits).unwrap();
     let mut client = bench.client().unwrap();
     client.nst(RS485_A_UNIT).sample().unwrap();
     client.modbus(RS485_B_UNIT).read_input_registers(0x0040, 8).unwrap();
@@ -57,7 +62,7 @@ fn the_driver_is_on_from_before_the_first_bit_until_after_the_last_stop_bit_and_
             assert!(wire.abs_diff(expected) < expected / 100, "{pin}: {wire} ns for {bytes} bytes");
             assert!(rise <= start && fall >= end, "{pin}: {rise} {start} {end} {fall}");
             let held = fall - end;
-            assert!(held < character, "{pin} is held {held} ns after the last stop bit");
+            assert!(held < LONGEST_NS, "{pin} is held {held} ns after the last stop bit");
         }
     }
 }

@@ -65,8 +65,6 @@ fn a_port_that_sends_nothing_any_more_is_noticed_by_the_watchdog() {
     client.set_timeout(Duration::from_millis(500));
     assert!(client.nst(RS485_A_UNIT).sample().is_err(), "it has something to send");
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
-    client.set_timeout(PATIENCE);
-    client.nst(RS485_A_UNIT).sample().unwrap();
 }
 
 #[test]
