@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Where a port listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Endpoint {
-    /// On 127.0.0.1, wherever there is room; [`Emulator::address`] says where.
+    /// On 127.0.0.1, wherever there is room; [`Emulator::address`](super::Emulator::address) says where.
     #[default]
     Free,
     /// Here.
@@ -52,7 +52,7 @@ pub struct Options {
     /// With [`Options::icount`]: time in which the processor sleeps passes at once. The machine's time then owes nothing to
     /// the host's clock, and whoever answers it from outside seems slow.
     pub skip_idle: bool,
-    /// Hold the machine before its first instruction, until [`Emulator::resume`], so that no port misses anything.
+    /// Hold the machine before its first instruction, until [`Emulator::resume`](super::Emulator::resume), so that no port misses anything.
     pub paused: bool,
     /// Time that QEMU has to start, and to answer. Generous, for machines that have other things to do.
     pub patience: Duration,

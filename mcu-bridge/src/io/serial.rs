@@ -148,7 +148,7 @@ impl MainSide<'_> {
     /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
     pub fn advances(&mut self) -> bool {
         let advanced = self.shared.advanced.swap(false, Ordering::Relaxed);
-        advanced || self.outgoing.len() == 0 && !self.shared.sending.load(Ordering::Relaxed)
+        advanced || self.outgoing.is_empty() && !self.shared.sending.load(Ordering::Relaxed)
     }
 
     /// Carries what came in to the engine.
