@@ -197,7 +197,7 @@ mod app {
                 queues.carry_in(local.engine, *port, now);
             }
             carry_can_in(local.engine, local.frames, now);
-            local.engine.poll(now);
+            poll(local.engine, now);
 
             for (port, part, queues, interrupt) in local.ports.iter_mut() {
                 if queues.carry_out(local.engine, *port) {
@@ -230,12 +230,7 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
-            if let Some(settings) = local.engine.take_save() {
-                local.watchdog.stretch();
-                let stored = local.store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
-                local.watchdog.relax();
-                local.engine.saved(stored);
-            }
+            save(local.engine, local.store, local.watchdog);
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
@@ -256,6 +251,24 @@ mod app {
         }
     }
 
+    // these are never inlined: what they need of the stack is to be in use only while they run
+
+    #[inline(never)]
+    fn poll(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+        engine.poll(now);
+    }
+
+    #[inline(never)]
+    fn save(engine: &mut Engine, store: &mut Option<Store<Sectors>>, watchdog: &mut Watchdog) {
+        if let Some(settings) = engine.take_save() {
+            watchdog.stretch();
+            let stored = store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
+            watchdog.relax();
+            engine.saved(stored);
+        }
+    }
+
+    #[inline(never)]
     fn carry_can_in(
         engine: &mut Engine,
         frames: &mut Consumer<'static, (Frame, u32)>,
@@ -286,6 +299,7 @@ mod app {
         }
     }
 
+    #[inline(never)]
     fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
         let can = can();
         engine.set_bus_off(bxcan::is_bus_off(can), now);
