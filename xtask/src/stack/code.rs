@@ -12,6 +12,9 @@ use yaxpeax_arm::armv7::{ConditionCode, InstDecoder, Instruction, Opcode, Operan
 /// No function of a small part goes this deep, so a loop that pushes is noticed.
 const ABSURD: u32 = 1 << 16;
 
+/// Fills up to whole words.
+const NOP: u32 = 0xBF00;
+
 /// Numbers of registers.
 const SP: u8 = 13;
 const LR: u8 = 14;
@@ -23,8 +26,8 @@ pub(super) struct Code<'data> {
     /// Address of the first instruction.
     pub(super) start: u32,
     pub(super) bytes: &'data [u8],
-    /// Addresses in the image at which code follows on data, in their order.
-    pub(super) resumes: &'data [u32],
+    /// Where in the image code (`true`) or data begins, in the order of addresses.
+    pub(super) kinds: &'data [(u32, bool)],
 }
 
 /// What a function does.
@@ -127,8 +130,9 @@ pub(super) fn summary(code: Code<'_>) -> Result<Summary> {
             }
             Flow::Call(callee) => {
                 summary.calls.push((callee, after));
-                // behind the call of a function that does not return there may be nothing
-                if code.contains(next) {
+                // behind the call of a function that does not return there may be nothing, or data after a filler
+                let behind = if code.half(next) == Some(NOP) { next + 2 } else { next };
+                if code.contains(behind) && code.is_code(behind) {
                     go(next, after, left);
                 }
             }
@@ -160,6 +164,11 @@ impl<'data> Code<'data> {
         self.from(address).is_some_and(|rest| !rest.is_empty())
     }
 
+    fn is_code(self, address: u32) -> bool {
+        let before = self.kinds.partition_point(|(start, _)| *start <= address);
+        before.checked_sub(1).is_none_or(|last| self.kinds.get(last).is_none_or(|(_, is_code)| *is_code))
+    }
+
     fn from(self, address: u32) -> Option<&'data [u8]> {
         self.bytes.get(usize::try_from(address.checked_sub(self.start)?).ok()?..)
     }
@@ -171,8 +180,8 @@ impl<'data> Code<'data> {
 
 /// Targets of a table of offsets that starts at an address and ends where code follows again.
 fn table(code: Code<'_>, base: u32, width: u32) -> Result<Vec<u32>> {
-    let end = code.resumes.get(code.resumes.partition_point(|resume| *resume <= base));
-    let end = *end.with_context(|| format!("the table at {base:#x} has no end"))?;
+    let end = code.kinds.iter().find(|(start, is_code)| *start > base && *is_code);
+    let (end, _) = *end.with_context(|| format!("the table at {base:#x} has no end"))?;
     let mut targets = Vec::new();
     for place in (base..end).step_by(width as usize) {
         let half = code.half(place & !1).with_context(|| format!("the table at {base:#x} has no end"))?;
@@ -194,7 +203,6 @@ fn table(code: Code<'_>, base: u32, width: u32) -> Result<Vec<u32>> {
 
 /// The jumps that stand in a row from an address on, after a filler.
 fn row(code: Code<'_>, start: u32) -> Result<Vec<u32>> {
-    const NOP: u32 = 0xBF00;
     let mut place = if code.half(start) == Some(NOP) { start + 2 } else { start };
     let mut jumps = Vec::new();
     while let Ok(Step { length: 4, flow: Flow::Jump(_), .. }) = decode(code, place) {
@@ -345,9 +353,12 @@ mod tests {
     const START: u32 = 0x0800_0100;
 
     fn summary_of(halves: &[u16]) -> Result<Summary> {
+        summary_with(halves, &[])
+    }
+
+    fn summary_with(halves: &[u16], kinds: &[(u32, bool)]) -> Result<Summary> {
         let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
-        // a table, where there is one, has one half-word behind the first instruction
-        summary(Code { start: START, bytes: &bytes, resumes: &[START + 6] })
+        summary(Code { start: START, bytes: &bytes, kinds })
     }
 
     #[test]
@@ -390,7 +401,7 @@ mod tests {
         ];
         for (halves, distance) in branches {
             let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
-            let step = decode(Code { start: START, bytes: &bytes, resumes: &[] }, START).unwrap();
+            let step = decode(Code { start: START, bytes: &bytes, kinds: &[] }, START).unwrap();
             let to = START + distance;
             assert!([Flow::Jump(to), Flow::Branch(to)].contains(&step.flow), "{halves:x?}: {step:?}");
         }
@@ -412,12 +423,15 @@ mod tests {
 
     #[test]
     fn tables_are_followed_to_each_of_their_targets() {
-        let found = summary_of(&[
-            0xE8DF, 0xF000, // tbb [pc, r0]
-            0x0301, // two entries
-            0xB081, 0x4770, // sub sp, #4, and back
-            0xB084, 0x4770, // sub sp, #16, and back
-        ])
+        let found = summary_with(
+            &[
+                0xE8DF, 0xF000, // tbb [pc, r0]
+                0x0301, // two entries
+                0xB081, 0x4770, // sub sp, #4, and back
+                0xB084, 0x4770, // sub sp, #16, and back
+            ],
+            &[(START + 4, false), (START + 6, true)],
+        )
         .unwrap();
         assert_eq!(found.frame, 16);
     }
@@ -426,6 +440,15 @@ mod tests {
     fn floating_point_registers_are_pushed() {
         let found = summary_of(&[0xED2D, 0x8B04, 0xECBD, 0x8B04, 0x4770]).unwrap();
         assert_eq!(found, Summary { frame: 16, calls: vec![], float: true });
+    }
+
+    #[test]
+    fn data_behind_a_call_that_does_not_return_is_no_code() {
+        // bl start + 0x102, a nop, and what is no instruction
+        let halves = [0xF000, 0xF87F, 0xBF00, 0xE800, 0x0000];
+        let found = summary_with(&halves, &[(START, true), (START + 6, false)]).unwrap();
+        assert_eq!(found.calls, [(Callee::At(START + 0x102), 0)]);
+        assert!(summary_of(&halves).is_err());
     }
 
     #[test]

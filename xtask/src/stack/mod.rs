@@ -52,8 +52,8 @@ struct Level {
 /// Works it out for an image whose interrupts have these priorities.
 pub(crate) fn worst(file: &[u8], priorities: &BTreeMap<String, u8>) -> Result<Worst> {
     let elf = ElfFile32::<LittleEndian>::parse(file).context("not an ELF file of a 32-bit part")?;
-    let resumes = resumes(&elf)?;
-    let image = Image::read(&elf, &resumes)?;
+    let kinds = kinds(&elf)?;
+    let image = Image::read(&elf, &kinds)?;
     let mut walk = Walk { image: &image, done: BTreeMap::new(), under_way: Vec::new(), pointed: None };
     let entry = image.vector(1)?;
     let mut handlers = BTreeMap::<u8, Vec<u32>>::new();
@@ -123,7 +123,7 @@ struct Function<'data> {
 }
 
 impl<'data> Image<'data> {
-    fn read(elf: &ElfFile32<'data, LittleEndian>, resumes: &'data [u32]) -> Result<Self> {
+    fn read(elf: &ElfFile32<'data, LittleEndian>, kinds: &'data [(u32, bool)]) -> Result<Self> {
         let mut starts = BTreeMap::new();
         for symbol in elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text) {
             let name = symbol.name()?;
@@ -141,7 +141,7 @@ impl<'data> Image<'data> {
             // some functions of assembly have no size
             let size = if *size == 0 { next - start } else { *size };
             let bytes = all.get(..size as usize).unwrap_or(all);
-            functions.insert(*start, Function { name, code: Code { start: *start, bytes, resumes } });
+            functions.insert(*start, Function { name, code: Code { start: *start, bytes, kinds } });
         }
         let table = elf.section_by_name(".vector_table").context("there is no vector table")?.data()?;
         let vectors = words(table).collect();
@@ -219,16 +219,19 @@ impl<'data> Image<'data> {
     }
 }
 
-/// Where code follows on data: the mapping symbols of the ABI for the ARM architecture.
-fn resumes(elf: &ElfFile32<'_, LittleEndian>) -> Result<Vec<u32>> {
-    let mut resumes = Vec::new();
+/// Where code and where data begins: the mapping symbols of the ABI for the ARM architecture.
+fn kinds(elf: &ElfFile32<'_, LittleEndian>) -> Result<Vec<(u32, bool)>> {
+    let mut kinds = Vec::new();
     for symbol in elf.symbols() {
-        if matches!(symbol.name()?, name if name == "$t" || name.starts_with("$t.")) {
-            resumes.push(u32::try_from(symbol.address())? & !1);
-        }
+        let is_code = match symbol.name()?.as_bytes() {
+            [b'$', b't'] | [b'$', b't', b'.', ..] => true,
+            [b'$', b'd'] | [b'$', b'd', b'.', ..] => false,
+            _ => continue,
+        };
+        kinds.push((u32::try_from(symbol.address())? & !1, is_code));
     }
-    resumes.sort_unstable();
-    Ok(resumes)
+    kinds.sort_unstable();
+    Ok(kinds)
 }
 
 fn words(bytes: &[u8]) -> impl Iterator<Item = u32> + '_ {
@@ -357,7 +360,7 @@ mod tests {
         let functions = functions
             .iter()
             .map(|(start, name, bytes)| {
-                (*start, Function { name, code: Code { start: *start, bytes, resumes: &[] } })
+                (*start, Function { name, code: Code { start: *start, bytes, kinds: &[] } })
             })
             .collect();
         Image { functions, vectors: Vec::new(), pointed: BTreeSet::new() }
