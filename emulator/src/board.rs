@@ -2,17 +2,23 @@
 //! passing of bus time go in; interrupt levels, bytes and the next deadline come out.
 
 use crate::adapter::{Adapter, Request, SHORTEST_FRAME};
+use crate::analog::{Adc, Dac, Pwm};
 use crate::bus::{Bus, Event, IDLE_BITS};
 use crate::bxcan::{BxCan, Interrupts};
-use crate::control::Control;
+use crate::control::{Control, Line, Query};
 use crate::flash::{Change, Flash};
+use crate::gpio::{Gpio, Level, Pin};
 use crate::iwdg::Watchdog;
 use crate::rcc::{Rcc, ResetCause};
+use crate::usart::Usart;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::slcan::{LineReader, Outcome};
 
 /// Bytes of the longest line of the fault console.
 const CONSOLE_LINE: usize = 64;
+
+/// The pins that enable the RS485 drivers of USART2 and USART3.
+const DRIVER_ENABLES: [&str; 2] = ["PA1", "PB12"];
 
 /// The peripherals of one STM32F405 board, and the bus it is on.
 #[derive(Debug, Clone)]
@@ -21,6 +27,14 @@ pub struct Board {
     flash: Flash,
     watchdog: Watchdog,
     has_bitten: bool,
+    /// Changes of the flash until the power goes, the one that it goes with included.
+    changes_left: Option<u32>,
+    gpio: Gpio,
+    adc: Adc,
+    dac: Dac,
+    pwm: Pwm,
+    /// USART2 and USART3.
+    usarts: [Usart; 2],
     can: BxCan,
     bus: Bus,
     adapter: Adapter,
@@ -39,6 +53,12 @@ impl Default for Board {
             flash: Flash::new(),
             watchdog: Watchdog::new(),
             has_bitten: false,
+            changes_left: None,
+            gpio: Gpio::new(),
+            adc: Adc::new(),
+            dac: Dac::default(),
+            pwm: Pwm::default(),
+            usarts: Default::default(),
             can: BxCan::new(),
             bus: Bus::default(),
             adapter: Adapter::default(),
@@ -59,14 +79,61 @@ impl Board {
         Self::default()
     }
 
-    /// Resets the peripherals, for the cause that the fault console has chosen or by software. What surrounds the
-    /// processor stays as it is: faults, the client, its frames, the crystal.
-    pub fn reset(&mut self) {
+    /// Resets the peripherals at a moment in nanoseconds, for the cause that the fault console has chosen or by software.
+    /// What surrounds the processor stays as it is: faults, the client, its frames, the crystal.
+    pub fn reset(&mut self, now: u64) {
         let bitten = std::mem::take(&mut self.has_bitten);
         self.rcc.reset(if bitten { ResetCause::IndependentWatchdog } else { self.next_reset });
         self.flash.reset();
         self.watchdog = Watchdog::new();
+        self.gpio.reset(now);
+        self.adc.reset();
+        (self.dac, self.pwm) = (Dac::default(), Pwm::default());
+        self.usarts.iter_mut().for_each(Usart::reset);
         self.reset_can();
+    }
+
+    /// The pins.
+    pub const fn gpio(&mut self) -> &mut Gpio {
+        &mut self.gpio
+    }
+
+    /// The first converter.
+    pub const fn adc(&mut self) -> &mut Adc {
+        &mut self.adc
+    }
+
+    /// The analog outputs.
+    pub const fn dac(&mut self) -> &mut Dac {
+        &mut self.dac
+    }
+
+    /// Timer 3.
+    pub const fn pwm(&mut self) -> &mut Pwm {
+        &mut self.pwm
+    }
+
+    /// USART2 or USART3, by its index 0 or 1, and the frequency of its clock.
+    ///
+    /// # Panics
+    /// With another index.
+    pub fn usart(&mut self, index: usize) -> (&mut Usart, u32) {
+        let hz = self.rcc.pclk1_hz();
+        (&mut self.usarts[index], hz)
+    }
+
+    /// Does what is due at a USART; what has left it then, if its driver was enabled: without it nothing gets onto the
+    /// line.
+    ///
+    /// # Panics
+    /// With another index than 0 or 1.
+    pub fn step_usart(&mut self, index: usize, now: u64) -> Vec<u8> {
+        let is_enabled =
+            Pin::parse(DRIVER_ENABLES[index]).is_some_and(|pin| self.gpio.drives(pin) == Level(Some(true)));
+        let (usart, hz) = self.usart(index);
+        usart.step(now, hz);
+        let sent = usart.outgoing();
+        if is_enabled { sent } else { Vec::new() }
     }
 
     /// Reads a register of the clock control.
@@ -102,6 +169,12 @@ impl Board {
     /// Programs bytes of the flash; tells what has changed.
     pub fn program_flash(&mut self, offset: u32, value: u32, size: u32) -> Option<Change> {
         self.flash.program(offset, value, size)
+    }
+
+    /// The flash changes; whether the power goes meanwhile.
+    pub fn power_goes(&mut self) -> bool {
+        self.changes_left = self.changes_left.map(|left| left.saturating_sub(1));
+        self.changes_left == Some(0)
     }
 
     /// Reads a register of the watchdog.
@@ -214,16 +287,21 @@ impl Board {
     pub fn take_console_bytes(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let byte = if byte == b'\n' { b'\r' } else { byte };
-            let control = match self.console.push(byte) {
+            let line = match self.console.push(byte) {
                 None | Some(Outcome::Line([])) => continue,
-                Some(Outcome::Line(line)) => str::from_utf8(line).ok().and_then(Control::parse),
+                Some(Outcome::Line(line)) => str::from_utf8(line).ok().and_then(Line::parse),
                 Some(Outcome::Refused | Outcome::TooLong) => None,
             };
-            let answer: &[u8] = if control.is_some() { b"ok\n" } else { b"?\n" };
-            self.console_output.extend_from_slice(answer);
-            if let Some(control) = control {
-                self.apply(control);
-            }
+            let answer = match line {
+                Some(Line::Control(control)) => {
+                    self.apply(control);
+                    "ok".into()
+                }
+                Some(Line::Query(query)) => format!("ok {}", self.ask(query)).trim_end().to_owned(),
+                None => "?".into(),
+            };
+            self.console_output.extend_from_slice(answer.as_bytes());
+            self.console_output.push(b'\n');
         }
     }
 
@@ -242,6 +320,37 @@ impl Board {
             Control::ArbitrationLosses(count) => faults.arbitration_losses = count,
             Control::Crystal(fitted) => self.rcc.set_crystal(fitted),
             Control::Cause(cause) => self.next_reset = cause,
+            Control::Pin(pin, level) => self.gpio.connect(pin, level),
+            Control::Analog(channel, value) => {
+                self.adc.connect(channel, value);
+            }
+            Control::Converter(works) => self.adc.set_working(works),
+            Control::PowerCut(changes) => self.changes_left = Some(changes),
+            Control::Forget => {
+                self.gpio.forget();
+                self.usarts.iter_mut().for_each(Usart::forget);
+            }
+        }
+    }
+
+    fn ask(&self, query: Query) -> String {
+        let joined = |words: Vec<String>| words.join(" ");
+        match query {
+            Query::Level(pin) => self.gpio.drives(pin).to_string(),
+            Query::Changes(pin) => {
+                joined(self.gpio.changes(pin).iter().map(|(at, level)| format!("{at}:{level}")).collect())
+            }
+            Query::Sent(index) => {
+                let sent = self.usarts.get(index).into_iter().flat_map(Usart::sent);
+                joined(sent.map(|sent| format!("{}-{}", sent.start, sent.end)).collect())
+            }
+            Query::Dac(number) => {
+                self.dac.output(number).map_or_else(|| "off".into(), |value| value.to_string())
+            }
+            Query::Pwm(number) => {
+                let duty = self.pwm.output(number);
+                duty.map_or_else(|| "off".into(), |(high, period)| format!("{high} {period}"))
+            }
         }
     }
 
@@ -373,7 +482,7 @@ mod tests {
         let mut board = on_bus();
         transmit(&mut board);
         assert!(board.step().is_some());
-        board.reset();
+        board.reset(0);
         assert_eq!(board.read_rcc(0x74), 0x1e00_0000);
         run(&mut board);
         assert_eq!(board.can_output(), b"");
@@ -394,7 +503,33 @@ mod tests {
         run(&mut board);
         assert_eq!(board.can_output(), b"t1231AA\r");
         board.take_console_bytes(b"cause iwdg\n");
-        board.reset();
+        board.reset(0);
         assert_eq!(board.read_rcc(0x74), 0x2e00_0000);
+    }
+
+    #[test]
+    fn the_power_goes_with_the_change_that_was_asked_for() {
+        let mut board = Board::new();
+        assert!(!board.power_goes());
+        board.take_console_bytes(b"cut 2\n");
+        assert_eq!([board.power_goes(), board.power_goes()], [false, true]);
+    }
+
+    #[test]
+    fn a_byte_gets_onto_the_line_only_while_its_driver_is_enabled() {
+        for (enabled, expected) in [(false, &[][..]), (true, &[0x55])] {
+            let mut board = Board::new();
+            board.gpio().write(0, 0x00, 1 << 2, 0);
+            board.gpio().write(0, 0x14, u32::from(enabled) << 1, 5);
+            let (usart, hz) = board.usart(0);
+            usart.write(0x08, 16, 0, hz);
+            usart.write(0x0c, 1 << 13 | 1 << 3, 0, hz);
+            usart.write(0x04, 0x55, 10, hz);
+            assert_eq!(board.step_usart(0, 20_000), expected);
+            board.take_console_bytes(b"changes PA1\nsent 2\nlevel PB0\n");
+            let changes = if enabled { "0:0 5:1" } else { "0:0" };
+            let told = format!("ok {changes}\nok 10-10010\nok z\n");
+            assert_eq!(String::from_utf8(board.console_output()).unwrap(), told);
+        }
     }
 }

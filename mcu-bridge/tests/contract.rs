@@ -6,7 +6,7 @@ use std::path::Path;
 const PLACES: [(&str, &str); 6] = [
     ("engine", "mcu-bridge/tests/engine"),
     ("store", "mcu-bridge/tests/store.rs"),
-    ("image", "host-tests/tests/image.rs"),
+    ("image", "host-tests/tests/image"),
     ("clients", "host-tests/tests/real_clients.rs"),
     ("unit", "mcu-bridge/src"),
     ("deframe", "protocol/src/deframe.rs"),

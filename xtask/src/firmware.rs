@@ -12,6 +12,7 @@ use object::read::elf::{FileHeader as _, ProgramHeader as _, Sym as _};
 
 use crate::run;
 use crate::setup::{self, TARGET, Toolchain};
+use crate::stack::{self, Worst};
 use crate::workspace::Workspace;
 
 /// The package, binary and feature of the image, and the profile it is built with.
@@ -19,6 +20,9 @@ const PACKAGE: &str = "jointbus-mcu-bridge";
 const BINARY: &str = "stm32f405";
 const FEATURE: &str = "stm32f405";
 const PROFILE: &str = "firmware";
+
+/// Where its tasks are, with their priorities.
+const TASKS: &str = "mcu-bridge/src/bin/stm32f405/main.rs";
 
 /// What the image is called when it is done.
 const NAME: &str = "jointbus-stm32f405";
@@ -40,6 +44,8 @@ pub(crate) struct Image {
     /// Intel HEX.
     pub(crate) hex: PathBuf,
     usage: Usage,
+    /// The deepest that the stack can get.
+    pub(crate) worst: Worst,
 }
 
 /// How much of the part an image takes, in bytes.
@@ -49,7 +55,7 @@ pub(crate) struct Usage {
     pub(crate) flash: u32,
     /// Everything that has an address in RAM: initialised, zeroed, and kept over a reset.
     pub(crate) static_ram: u32,
-    /// What the static variables leave to the stack.
+    /// What is kept for the stack.
     stack: u32,
 }
 
@@ -67,6 +73,11 @@ impl Image {
             println!("{}", path.display());
         }
         println!("{}", self.usage.lines());
+        println!(
+            "stack      {:>9} of {} bytes at worst",
+            grouped(self.worst.bytes),
+            grouped(self.usage.stack)
+        );
     }
 }
 
@@ -77,6 +88,17 @@ pub(crate) fn build(workspace: &Workspace) -> Result<Image> {
     let built = workspace.target.join(TARGET).join(PROFILE).join(BINARY);
     let file = fs::read(&built).with_context(|| format!("cannot read {}", built.display()))?;
     let (pieces, entry, usage) = measure(&file).with_context(|| built.display().to_string())?;
+
+    let tasks =
+        fs::read_to_string(workspace.root.join(TASKS)).with_context(|| format!("cannot read {TASKS}"))?;
+    let worst =
+        stack::worst(&file, &stack::priorities(&tasks)?).context("the worst-case stack is not known")?;
+    ensure!(
+        worst.bytes <= usage.stack,
+        "{} bytes of stack are too few for the worst case:\n{}",
+        usage.stack,
+        worst.lines()
+    );
 
     let folder = workspace.target.join("firmware");
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -90,6 +112,7 @@ pub(crate) fn build(workspace: &Workspace) -> Result<Image> {
         bin: write("bin", &binary(&pieces))?,
         hex: write("hex", intel_hex(&pieces, entry).as_bytes())?,
         usage,
+        worst,
     })
 }
 
@@ -141,10 +164,13 @@ fn measure(file: &[u8]) -> Result<(Vec<Piece<'_>>, u32, Usage)> {
         let symbol = symbols.iter().find(is_named).with_context(|| format!("there is no symbol {name}"))?;
         Ok(symbol.st_value(endian))
     };
-    // The stack grows down; the names are those of cortex-m-rt.
-    let stack = value("_stack_start")?
-        .checked_sub(value("_stack_end")?)
-        .context("the static variables reach into the stack")?;
+    // The stack grows down, out of the RAM if too far; the names are those of cortex-m-rt.
+    let end = value("_stack_end")?;
+    ensure!(
+        end == RAM.start,
+        "the stack ends at {end:#010x}: what overflows it would be written over variables"
+    );
+    let stack = value("_stack_start")?.checked_sub(end).context("the stack ends above its start")?;
     Ok((pieces, header.e_entry(endian), Usage { flash, static_ram, stack }))
 }
 
@@ -233,12 +259,7 @@ impl Usage {
             let percent = f64::from(used) * 100.0 / f64::from(size);
             format!("{:>9} of {} bytes ({percent:.1} %)", grouped(used), grouped(size))
         };
-        format!(
-            "flash      {}\nstatic RAM {}, {} left to the stack",
-            of(self.flash, &FLASH),
-            of(self.static_ram, &RAM),
-            grouped(self.stack)
-        )
+        format!("flash      {}\nstatic RAM {}", of(self.flash, &FLASH), of(self.static_ram, &RAM))
     }
 }
 
@@ -272,7 +293,8 @@ mod tests {
     fn the_limits_are_those_of_the_linker_script() {
         let script = include_str!("../../memory.x");
         assert!(script.contains("FLASH : ORIGIN = 0x08000000, LENGTH = 768K\n"));
-        assert!(script.contains("RAM   : ORIGIN = 0x20000000, LENGTH = 128K - 32\n"));
+        assert!(script.contains("STACK : ORIGIN = 0x20000000, LENGTH = 10K\n"));
+        assert!(script.contains("RAM   : ORIGIN = 0x20002800, LENGTH = 118K - 32\n"));
     }
 
     #[test]
@@ -325,17 +347,17 @@ mod tests {
     fn usage_is_measured_in_an_elf_file() {
         let file = elf(&[
             (0x0800_0000, 0x0800_0000, 8, 8),
-            (0x2000_0000, 0x0800_0008, 4, 4),
-            (0x2000_0004, 0, 0, 96),
+            (0x2000_2800, 0x0800_0008, 4, 4),
+            (0x2000_2804, 0, 0, 96),
         ]);
         let (pieces, entry, usage) = measure(&file).unwrap();
         assert_eq!(pieces, [piece(0x0800_0000, &[0xAB; 8]), piece(0x0800_0008, &[0xAB; 4])]);
         assert_eq!(entry, 0x0800_0001);
-        assert_eq!(usage, Usage { flash: 12, static_ram: 100, stack: 0x2001_FFE0 - 0x2000_0064 });
+        assert_eq!(usage, Usage { flash: 12, static_ram: 100, stack: 0x2800 });
         assert_eq!(
             usage.lines(),
             "flash             12 of 786,432 bytes (0.0 %)\n\
-             static RAM       100 of 131,072 bytes (0.1 %), 130,940 left to the stack"
+             static RAM       100 of 131,072 bytes (0.1 %)"
         );
     }
 
@@ -369,8 +391,8 @@ mod tests {
         let absolute = halves(&[0x0010, 0xFFF1]);
         let symbols = [
             words(&[0; 4]),
-            [words(&[1, 0x2001_FFE0, 0]), absolute.clone()].concat(),
-            [words(&[14, 0x2000_0064, 0]), absolute].concat(),
+            [words(&[1, 0x2000_2800, 0]), absolute.clone()].concat(),
+            [words(&[14, 0x2000_0000, 0]), absolute].concat(),
         ]
         .concat();
         let names_at = symbols_at + symbols.len() as u32;

@@ -4,6 +4,7 @@
 //! install. This file holds the command line only.
 
 mod agreement;
+mod contributors;
 mod demo;
 mod emulate;
 mod firmware;
@@ -15,6 +16,7 @@ mod run;
 mod setup;
 mod sim;
 mod size;
+mod stack;
 mod test;
 mod workspace;
 
@@ -47,7 +49,7 @@ enum Task {
         #[arg(long)]
         seconds: Option<u64>,
     },
-    /// Show the flash, static RAM and stack that the server and each device dispatcher take on the part
+    /// Show the flash, static RAM and worst-case stack of the image, and what each server and dispatcher takes
     Size,
     /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
     Fuzz(fuzz::Budget),

@@ -1,4 +1,5 @@
-//! What a server or a dispatcher costs: images of `probe/` with and without it, measured and run in the emulator.
+//! What the bridge's image takes, and what a server or a dispatcher costs: images of `probe/` with and without it,
+//! measured and run in the emulator.
 
 use std::fs;
 use std::path::PathBuf;
@@ -12,6 +13,7 @@ use crate::probe::{FEATURE, PACKAGE};
 use crate::run;
 use crate::setup::{self, TARGET};
 use crate::workspace::Workspace;
+use crate::{contributors, emulate, test};
 
 const IMAGE: &str = "measure";
 const PROFILE: &str = "firmware";
@@ -21,6 +23,9 @@ const BUILD_LIMIT: Duration = Duration::from_secs(600);
 
 /// The emulated board with an STM32F405 on it.
 const MACHINE: &str = "netduinoplus2";
+
+/// The test that paints the image's stack and prints how much of it was used.
+const PAINTED: &str = "resets::no_request_uses_more_stack_than_there_is";
 
 /// Seconds after which a run that does not end is ended, by `timeout`.
 const RUN_LIMIT: &str = "30";
@@ -44,6 +49,7 @@ struct Run {
 /// Measures all and prints a table.
 pub(crate) fn size(workspace: &Workspace) -> Result<()> {
     setup::emulator()?;
+    image(workspace)?;
     let (empty, idle) = measure(workspace, FEATURE)?;
     println!("{TARGET}, profile {PROFILE} (opt-level s, fat LTO), in bytes:\n");
     println!("{:<50} {:>6} {:>10} {:>6}", "", "flash", "static RAM", "stack");
@@ -62,6 +68,34 @@ pub(crate) fn size(workspace: &Workspace) -> Result<()> {
         idle.requests, idle.stack
     );
     Ok(())
+}
+
+/// Prints what the bridge's image takes: in all, at worst on the stack, and by what.
+fn image(workspace: &Workspace) -> Result<()> {
+    let image = firmware::build(workspace)?;
+    image.report();
+    println!("\nworst-case stack, in bytes, each function with what is taken when it calls the next:\n");
+    println!("{}", image.worst.lines());
+    let used = used(workspace, &image)?;
+    println!("used of it in a run with the longest requests: {used}\n");
+    ensure!(used <= image.worst.bytes, "more than the worst case was used, which therefore is wrong");
+    let file = fs::read(&image.elf).with_context(|| format!("cannot read {}", image.elf.display()))?;
+    println!("{}", contributors::lines(&file)?);
+    Ok(())
+}
+
+/// The deepest that the image's stack was seen in the emulator: a test of the image finds out.
+fn used(workspace: &Workspace, image: &firmware::Image) -> Result<u32> {
+    let plugin = emulate::build_plugin(workspace)?;
+    let mut command = workspace.cargo();
+    command.env(test::IMAGE, &image.elf).env(test::PLUGIN, plugin);
+    command.args(["test", "--package", "jointbus-host-tests", "--test", "image", "--", "--exact", PAINTED]);
+    let printed = run::output(command.arg("--nocapture"))?;
+    let used = printed
+        .lines()
+        .find_map(|line| line.split_once(" of ").filter(|(_, rest)| rest.ends_with(" bytes of stack used")));
+    let (used, _) = used.with_context(|| format!("{PAINTED} printed `{printed}`"))?;
+    Ok(used.trim_start_matches(|character: char| !character.is_ascii_digit()).parse()?)
 }
 
 /// Builds the image with these features; what it takes, and what it says when it runs.

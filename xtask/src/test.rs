@@ -9,9 +9,9 @@ use crate::workspace::Workspace;
 use crate::{agreement, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
-const IMAGE: &str = "JOINTBUS_IMAGE";
+pub(crate) const IMAGE: &str = "JOINTBUS_IMAGE";
 /// Tells the tests where the emulator's plugin is.
-const PLUGIN: &str = "JOINTBUS_EMULATOR_PLUGIN";
+pub(crate) const PLUGIN: &str = "JOINTBUS_EMULATOR_PLUGIN";
 /// Tells the tests which Python has the real clients.
 const PYTHON: &str = "JOINTBUS_PYTHON";
 

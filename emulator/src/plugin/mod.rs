@@ -1,15 +1,21 @@
 //! Hangs a [`Board`] into QEMU's STM32F405 machine: registers over the regions that QEMU leaves unimplemented,
-//! interrupt lines, the processor's clock, a timer for the bus, and two character devices, `can0` and `canctl`.
+//! interrupt lines, the processor's clock, timers, and character devices: `can0`, `canctl`, `usart2` and `usart3`.
 //!
 //! QEMU calls everything here with its big lock held, so calls never overlap; the mutexes are there because the
 //! language wants to see that, and none is held while QEMU is called.
 
+mod options;
+mod part;
+mod peripherals;
 mod port;
 mod qemu;
 
 use crate::board::Board;
 use crate::control::Control;
 use crate::{bxcan, flash, iwdg, rcc};
+use options::Options;
+use part::Part;
+use peripherals::{Serial, SerialEffects, SerialState};
 use port::{Handlers, Port};
 use qemu::{
     CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, GUEST_RESET, Info, Notifier, Pointer, Qemu, RegionOps,
@@ -19,7 +25,7 @@ use std::ffi::{CStr, c_char, c_int, c_uint};
 use std::fs::File;
 use std::io::{self, Read};
 use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::ptr;
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
@@ -71,6 +77,8 @@ struct State {
     watchdog: bool,
     /// Whether there is a CAN controller.
     has_can: bool,
+    /// USART2 and USART3.
+    serial: [SerialState; 2],
 }
 
 /// What QEMU has given us.
@@ -81,52 +89,14 @@ struct Machine {
     watchdog: Pointer,
     can: Option<Port>,
     console: Option<Port>,
+    /// USART2 and USART3, where they are not QEMU's.
+    serial: [Option<Serial>; 2],
 }
 
 // SAFETY: the pointers are only used by QEMU's functions, which its big lock serialises.
 unsafe impl Send for Machine {}
 // SAFETY: as above.
 unsafe impl Sync for Machine {}
-
-/// Arguments of `-plugin`.
-#[derive(Debug, PartialEq, Eq)]
-struct Options {
-    crystal: bool,
-    /// Whether there is a CAN controller.
-    can: bool,
-    any_version: bool,
-    /// Whether the independent watchdog bites.
-    watchdog: bool,
-    /// Where the flash's sectors are kept.
-    flash: Option<PathBuf>,
-}
-
-impl Options {
-    fn parse<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Result<Self, String> {
-        let mut options = Self { crystal: true, can: true, any_version: false, watchdog: false, flash: None };
-        for argument in arguments {
-            match argument {
-                "crystal=on" => options.crystal = true,
-                "crystal=off" => options.crystal = false,
-                "can=on" => options.can = true,
-                "can=off" => options.can = false,
-                "watchdog=on" => options.watchdog = true,
-                "watchdog=off" => options.watchdog = false,
-                "anyversion=on" => options.any_version = true,
-                "anyversion=off" => options.any_version = false,
-                other => match other.strip_prefix("flash=") {
-                    Some(path) => options.flash = Some(path.into()),
-                    None => {
-                        return Err(format!(
-                            "unknown argument {other:?}; there are crystal=, can=, watchdog=, flash= and anyversion="
-                        ));
-                    }
-                },
-            }
-        }
-        Ok(options)
-    }
-}
 
 /// QEMU's way in: checks what can be checked, then waits for the machine.
 ///
@@ -187,6 +157,7 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
         flash,
         watchdog: options.watchdog,
         has_can: options.can,
+        serial: Default::default(),
     });
     let notifier = Notifier { notify: machine_complete, next: ptr::null_mut(), previous: ptr::null_mut() };
     let qemu = QEMU.get_or_init(|| qemu);
@@ -267,8 +238,9 @@ impl Machine {
             clock: find(c"/machine/SYSCLK", c"clock"),
             timer: qemu::opaque_structure(),
             watchdog: qemu::opaque_structure(),
-            can: Port::open(qemu, c"can0", &CAN_HANDLERS),
-            console: Port::open(qemu, c"canctl", &CONSOLE_HANDLERS),
+            can: Port::open(qemu, c"can0", &CAN_HANDLERS, ptr::null_mut()),
+            console: Port::open(qemu, c"canctl", &CONSOLE_HANDLERS, ptr::null_mut()),
+            serial: [0, 1].map(|index| Serial::find(qemu, index, processor)),
         })
     }
 
@@ -278,14 +250,20 @@ impl Machine {
         unsafe { (qemu.timer_init_full)(self.timer, none, CLOCK_VIRTUAL, SCALE_NS, 0, tick, none) };
         // SAFETY: as above.
         unsafe { (qemu.timer_init_full)(self.watchdog, none, CLOCK_VIRTUAL, SCALE_NS, 0, bite, none) };
-        overlay(qemu, IWDG_BASE, iwdg::SIZE, &IWDG_OPS, c"jointbus.iwdg");
+        overlay(qemu, IWDG_BASE, iwdg::SIZE, &IWDG_OPS, none, c"jointbus.iwdg");
         if with(|state| state.has_can) {
-            overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, c"jointbus.can1");
+            overlay(qemu, CAN1_BASE, bxcan::SIZE, &CAN_OPS, none, c"jointbus.can1");
         }
-        overlay(qemu, RCC_BASE, rcc::SIZE, &RCC_OPS, c"jointbus.rcc");
-        overlay(qemu, FLASH_BASE, flash::SIZE, &FLASH_OPS, c"jointbus.flash");
+        overlay(qemu, RCC_BASE, rcc::SIZE, &RCC_OPS, none, c"jointbus.rcc");
+        overlay(qemu, FLASH_BASE, flash::SIZE, &FLASH_OPS, none, c"jointbus.flash");
         let sectors = u64::from(flash::SECTORS_BASE);
-        overlay(qemu, sectors, flash::SECTORS_SIZE, &SECTORS_OPS, c"jointbus.flash-sectors");
+        overlay(qemu, sectors, flash::SECTORS_SIZE, &SECTORS_OPS, none, c"jointbus.flash-sectors");
+        peripherals::start(qemu);
+        for (index, serial) in self.serial.iter().enumerate() {
+            if let Some(serial) = serial {
+                serial.start(qemu, index);
+            }
+        }
         if let Some(port) = &self.can {
             port.start(qemu, &CAN_HANDLERS);
         }
@@ -298,11 +276,11 @@ impl Machine {
 }
 
 /// Lays registers over what QEMU has at an address.
-fn overlay(qemu: &Qemu, base: u64, size: u32, ops: &'static RegionOps, name: &CStr) {
+fn overlay(qemu: &Qemu, base: u64, size: u32, ops: &'static RegionOps, opaque: Pointer, name: &CStr) {
     let (region, none) = (qemu::opaque_structure(), ptr::null_mut());
     // SAFETY: the region's memory is large enough; it and the functions live as long as the process.
     unsafe {
-        (qemu.memory_region_init_io)(region, none, ops, none, name.as_ptr(), u64::from(size));
+        (qemu.memory_region_init_io)(region, none, ops, opaque, name.as_ptr(), u64::from(size));
         (qemu.memory_region_add_subregion_overlap)((qemu.get_system_memory)(), base, region, 1);
     }
 }
@@ -315,15 +293,24 @@ struct Effects {
     can_output: Vec<u8>,
     console_output: Vec<u8>,
     accept_input: bool,
+    serial: [SerialEffects; 2],
 }
 
 impl State {
-    /// Keeps what has changed in the flash.
-    fn keep(&self, change: Option<flash::Change>) {
-        let (Some(file), Some(flash::Change { offset, length })) = (&self.flash, change) else { return };
-        let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
-        if let Err(error) = file.write_all_at(bytes, offset.into()) {
-            complain(&format!("the flash is not kept: {error}"));
+    /// Keeps what has changed in the flash, half of it where the power goes meanwhile.
+    fn keep(&mut self, change: Option<flash::Change>) {
+        let Some(flash::Change { offset, length }) = change else { return };
+        let is_last = self.board.power_goes();
+        let length = if is_last { length / 2 } else { length };
+        if let Some(file) = &self.flash {
+            let bytes = &self.board.flash().bytes()[offset as usize..][..length as usize];
+            if let Err(error) = file.write_all_at(bytes, offset.into()) {
+                complain(&format!("the flash is not kept: {error}"));
+            }
+        }
+        if is_last {
+            // SAFETY: it ends the process at once, as a power cut does; nothing else is to happen
+            unsafe { libc::_exit(0) };
         }
     }
 
@@ -348,6 +335,7 @@ impl State {
             can_output: self.board.can_output(),
             console_output: self.board.console_output(),
             accept_input,
+            serial: std::array::from_fn(|index| self.serial[index].effects(self.board.usart(index).0)),
         }
     }
 }
@@ -368,6 +356,11 @@ impl Machine {
         send(qemu, self.console.as_ref(), &effects.console_output);
         if let Some(port) = self.can.as_ref().filter(|_| effects.accept_input) {
             port.accept_input(qemu);
+        }
+        for (serial, effects) in self.serial.iter().zip(&effects.serial) {
+            if let Some(serial) = serial {
+                serial.apply(qemu, effects);
+            }
         }
     }
 
@@ -413,7 +406,7 @@ extern "C" fn reset(_opaque: Pointer) {
     update(|state| {
         // The first one is the power-on after which the board was made.
         if std::mem::replace(&mut state.started, true) {
-            state.board.reset();
+            state.board.reset(peripherals::now());
         }
     });
     if let Some(machine) = MACHINE.get() {
@@ -498,29 +491,6 @@ extern "C" fn write_watchdog(_opaque: Pointer, offset: u64, value: u64, _size: c
     }
 }
 
-/// The bytes of a register that an access touches.
-#[derive(Clone, Copy)]
-struct Part {
-    register: u32,
-    shift: u32,
-    mask: u32,
-}
-
-impl Part {
-    const fn of(offset: u64, size: c_uint) -> Self {
-        let shift = (offset as u32 & 3) * 8;
-        Self { register: offset as u32 & !3, shift, mask: u32::MAX >> (32 - 8 * size) << shift }
-    }
-
-    const fn read(self, whole: u32) -> u32 {
-        (whole & self.mask) >> self.shift
-    }
-
-    const fn write(self, whole: u32, value: u32) -> u32 {
-        whole & !self.mask | value << self.shift & self.mask
-    }
-}
-
 extern "C" fn can_room(_opaque: Pointer) -> c_int {
     with(|state| {
         let room = state.board.can_room();
@@ -591,41 +561,6 @@ fn resume(port: impl FnOnce(&'static Machine) -> Option<&'static Port>) -> c_int
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn arguments_are_checked() {
-        assert_eq!(
-            Options::parse([]),
-            Ok(Options { crystal: true, can: true, any_version: false, watchdog: false, flash: None })
-        );
-        let all = Options {
-            crystal: false,
-            can: false,
-            any_version: true,
-            watchdog: true,
-            flash: Some("a.bin".into()),
-        };
-        assert_eq!(
-            Options::parse(["crystal=off", "can=off", "anyversion=on", "watchdog=on", "flash=a.bin"]),
-            Ok(all)
-        );
-        assert!(Options::parse(["crystal"]).is_err());
-    }
-
-    #[test]
-    fn parts_of_registers_are_cut_out_and_put_back() {
-        for (offset, size, read, written) in [
-            (0x74, 4, 0x1234_5678, 0xaabb_ccdd),
-            (0x74, 2, 0x5678, 0x1234_ccdd),
-            (0x76, 2, 0x1234, 0xccdd_5678),
-            (0x77, 1, 0x12, 0xdd34_5678),
-        ] {
-            let part = Part::of(offset, size);
-            assert_eq!(part.register, 0x74);
-            assert_eq!(part.read(0x1234_5678), read);
-            assert_eq!(part.write(0x1234_5678, 0xaabb_ccdd), written);
-        }
-    }
 
     #[test]
     fn outside_qemu_its_functions_are_missed_by_name() {

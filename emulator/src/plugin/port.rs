@@ -26,6 +26,8 @@ pub(super) struct Handlers {
 pub(super) struct Port {
     frontend: Pointer,
     writable: extern "C" fn(Pointer, c_uint, Pointer) -> c_int,
+    /// Handed to every handler.
+    opaque: Pointer,
     output: Mutex<Output>,
 }
 
@@ -42,7 +44,7 @@ struct Output {
 
 impl Port {
     /// Takes the character device with this id. Nothing if there is none.
-    pub(super) fn open(qemu: &Qemu, id: &CStr, handlers: &Handlers) -> Option<Self> {
+    pub(super) fn open(qemu: &Qemu, id: &CStr, handlers: &Handlers, opaque: Pointer) -> Option<Self> {
         // SAFETY: the id is a C string; called while the machine is being completed, with the big lock held.
         let device = unsafe { (qemu.qemu_chr_find)(id.as_ptr()) };
         if device.is_null() {
@@ -53,13 +55,13 @@ impl Port {
         if !unsafe { (qemu.qemu_chr_fe_init)(frontend, device, ptr::null_mut()) } {
             return None;
         }
-        Some(Self { frontend, writable: handlers.writable, output: Mutex::default() })
+        Some(Self { frontend, writable: handlers.writable, opaque, output: Mutex::default() })
     }
 
     /// From here on QEMU calls the handlers.
     pub(super) fn start(&self, qemu: &Qemu, handlers: &Handlers) {
-        let (none, opaque) = (ptr::null_mut(), ptr::null_mut());
-        // SAFETY: the front end was initialised; the handlers live as long as the process and need no opaque.
+        let none = ptr::null_mut();
+        // SAFETY: the front end was initialised; the handlers live as long as the process and never follow the opaque.
         unsafe {
             (qemu.qemu_chr_fe_set_handlers)(
                 self.frontend,
@@ -67,7 +69,7 @@ impl Port {
                 handlers.read,
                 handlers.event,
                 None,
-                opaque,
+                self.opaque,
                 none,
                 true,
             );
@@ -124,9 +126,8 @@ impl Port {
         if self.output().watched {
             return;
         }
-        // SAFETY: the front end was initialised; the function lives as long as the process and needs no opaque.
-        let id =
-            unsafe { (qemu.qemu_chr_fe_add_watch)(self.frontend, WRITABLE, self.writable, ptr::null_mut()) };
+        // SAFETY: the front end was initialised; the function lives as long as the process and never follows the opaque.
+        let id = unsafe { (qemu.qemu_chr_fe_add_watch)(self.frontend, WRITABLE, self.writable, self.opaque) };
         self.output().watched = id != 0;
     }
 

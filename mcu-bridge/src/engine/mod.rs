@@ -7,6 +7,7 @@ pub mod config;
 mod counters;
 mod door;
 mod host;
+mod io;
 mod listener;
 mod own;
 mod polling;
@@ -19,8 +20,9 @@ use can::CanBus;
 use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
 use counters::count;
 use host::{HostDeframer, Output};
+use io::{Analog, LocalIo};
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::ndam9010::{ChannelError, Layout, RamModule};
+use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nxi6201;
 use jointbus_protocol::time::{Duration, Instant};
 use own::{Diagnostics, Saving};
@@ -63,7 +65,7 @@ pub struct Engine {
     rs485_b: SerialBus,
     can: CanBus,
     outputs: nxi6201::Card<nxi6201::RamHardware>,
-    io: RamModule,
+    io: LocalIo,
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
 }
@@ -97,7 +99,7 @@ impl Engine {
             can: CanBus::new(network.port(Port::Can).node),
             outputs,
             // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
-            io: RamModule { fault: Some(ChannelError::Failed), ..RamModule::new(LOCAL_IO) },
+            io: LocalIo::default(),
             last_request: Some(now),
         }
     }
@@ -210,11 +212,11 @@ impl Engine {
         self.health
     }
 
-    /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs. Unit 40 fails until it is known.
-    pub fn set_inputs(&mut self, digital: u16, analog: [u16; LOCAL_IO.analog_inputs as usize]) {
-        self.io.fault = None;
-        self.io.inputs = digital;
-        self.io.analog_inputs.iter_mut().zip(analog).for_each(|(place, value)| *place = value);
+    /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs, `None` where they can't be measured.
+    /// What is not known is answered with exception 04 by unit 40.
+    pub fn set_inputs(&mut self, digital: u16, analog: impl Into<Option<Analog>>) {
+        self.io.inputs = Some(digital);
+        self.io.analog = analog.into();
     }
 
     /// What the board's analog outputs are to be.

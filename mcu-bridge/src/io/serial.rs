@@ -10,8 +10,9 @@ use heapless::spsc::{Consumer, Producer, Queue};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
 
-/// Received bytes and ends of transmissions that wait for the main loop.
-pub const INCOMING: usize = 512;
+/// Received bytes and ends of transmissions that wait for the main loop: more than a whole frame, some 3 ms at the
+/// fastest rate.
+pub const INCOMING: usize = 288;
 
 /// Bytes that wait to be sent: a whole frame, so that an RS485 driver is never released inside one.
 pub const OUTGOING: usize = rtu::FRAME_MAX + 1;
@@ -46,13 +47,22 @@ struct Shared {
     last_byte: AtomicU32,
     /// Bytes were lost since the main loop looked last.
     overrun: AtomicBool,
+    /// The transmitter has taken a byte, or finished, since the main loop looked last.
+    advanced: AtomicBool,
+    /// It has taken a byte, and not finished.
+    sending: AtomicBool,
 }
 
 impl Queues {
     /// Empty queues.
     #[must_use]
     pub const fn new() -> Self {
-        let shared = Shared { last_byte: AtomicU32::new(0), overrun: AtomicBool::new(false) };
+        let shared = Shared {
+            last_byte: AtomicU32::new(0),
+            overrun: AtomicBool::new(false),
+            advanced: AtomicBool::new(false),
+            sending: AtomicBool::new(false),
+        };
         Self { incoming: Queue::new(), outgoing: Queue::new(), shared }
     }
 
@@ -98,6 +108,8 @@ impl InterruptSide<'_> {
 
     /// The last stop bit has left and the driver is off.
     pub fn transmitted(&mut self) {
+        self.shared.advanced.store(true, Ordering::Relaxed);
+        self.shared.sending.store(false, Ordering::Relaxed);
         if self.incoming.enqueue(Report::TRANSMITTED).is_err() {
             self.lost();
         }
@@ -106,7 +118,10 @@ impl InterruptSide<'_> {
     /// The next byte to send.
     #[inline]
     pub fn next_byte(&mut self) -> Option<u8> {
-        self.outgoing.dequeue()
+        let byte = self.outgoing.dequeue()?;
+        self.shared.advanced.store(true, Ordering::Relaxed);
+        self.shared.sending.store(true, Ordering::Relaxed);
+        Some(byte)
     }
 
     /// Whether nothing is left to send.
@@ -128,6 +143,12 @@ impl MainSide<'_> {
     #[must_use]
     pub fn is_idle(&self) -> bool {
         !self.incoming.ready()
+    }
+
+    /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
+    pub fn advances(&mut self) -> bool {
+        let advanced = self.shared.advanced.swap(false, Ordering::Relaxed);
+        advanced || self.outgoing.is_empty() && !self.shared.sending.load(Ordering::Relaxed)
     }
 
     /// Carries what came in to the engine.
@@ -225,6 +246,31 @@ mod tests {
         assert_eq!(sent.len(), 245);
         assert!(rtu::Frame::decode(&sent).is_ok());
         assert!(interrupt.is_drained());
+    }
+
+    #[test]
+    fn a_transmitter_that_takes_nothing_stands_still() {
+        let now = Instant::from_micros(0);
+        let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
+        let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
+        let mut queues = Queues::new();
+        let (mut interrupt, mut main) = queues.split();
+        assert!(main.advances(), "there is nothing to send");
+        let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
+            jointbus_protocol::modbus::Range::new(0, 1),
+        );
+        engine.receive(Port::Host, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
+        assert!(main.carry_out(&mut engine, Port::Host));
+        assert!(!main.advances());
+        assert!(interrupt.next_byte().is_some());
+        assert!(main.advances());
+        assert!(!main.advances());
+        while interrupt.next_byte().is_some() {}
+        assert!(main.advances());
+        assert!(!main.advances(), "the last byte does not leave");
+        interrupt.transmitted();
+        assert!(main.advances());
+        assert!(main.advances(), "there is nothing to send");
     }
 
     #[test]

@@ -48,6 +48,7 @@ impl<F: MultiwriteNorFlash> Store<F> {
     ///
     /// # Errors
     /// [`Unreadable`]; it can be written all the same.
+    #[inline(never)]
     pub fn load(&mut self) -> Result<Option<Settings>, Unreadable> {
         let mut buffer = [0; BUFFER];
         match block_on(self.map.fetch_item::<&[u8]>(&mut buffer, &SETTINGS)) {
@@ -61,6 +62,8 @@ impl<F: MultiwriteNorFlash> Store<F> {
     ///
     /// # Errors
     /// [`StoreError`] where the flash fails.
+    // its buffers are to be on the stack while it saves, and not for as long as its caller runs
+    #[inline(never)]
     pub fn save(&mut self, stored: &[u8; STORED_LENGTH]) -> Result<(), StoreError> {
         let mut buffer = [0; BUFFER];
         let item = stored.as_slice();

@@ -102,6 +102,9 @@ fn the_boards_own_units_answer() {
     assert_eq!(world.modbus(40, &[4, 0, 0x43, 0, 1], SOON), [4, 2, 0, 4]);
     assert_eq!(world.modbus(40, &[5, 2, 0, 0xFF, 0], SOON), [5, 2, 0, 0xFF, 0]);
     assert_eq!(world.engine.digital_outputs(), 1);
+    world.engine.set_inputs(0x005A, None);
+    assert_eq!(world.modbus(40, &[4, 0, 0x40, 0, 1], SOON), [0x84, 4], "not measured any more");
+    assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [4, 2, 0, 0x5A]);
 }
 
 #[test]

@@ -16,6 +16,12 @@ pub const TICK_US: u32 = 100;
 /// The watchdog's period: its oscillator of nominally 32 kHz, divided by 16, counts so many steps: half a second.
 pub const WATCHDOG_STEPS: u32 = 1000;
 
+/// Channels of the converter in the order of the analog inputs: PA0, PA6, PA7, PB0.
+pub const ADC_CHANNELS: [u32; 4] = [0, 6, 7, 8];
+
+/// Longest time that a conversion of 5 us may take until the main loop sees it done, in us.
+pub const ADC_LIMIT_US: u32 = 10_000;
+
 /// Frames that wait between the CAN interrupt and the main loop: longer than a transfer.
 pub const CAN_INCOMING: usize = 33;
 

@@ -1,7 +1,7 @@
 //! The bridge on an STM32F405: ports in, engine, ports out.
 //!
 //! Interrupts only move bytes and frames between the hardware and bounded queues; the idle loop carries them to the
-//! engine and back, feeds the watchdog and sleeps until the next interrupt.
+//! engine and back, feeds the watchdog when every part has advanced, and sleeps until the next interrupt.
 #![no_std]
 #![no_main]
 // RTIC makes the resources public, and their types with them
@@ -11,22 +11,22 @@ mod bxcan;
 mod clocks;
 mod constants;
 mod flash;
+mod inputs;
 mod outputs;
 mod reset;
 mod time;
 mod uart;
 mod watchdog;
 
-use defmt_rtt as _;
-
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
     use crate::constants::{CAN_INCOMING, STORE_SIZE};
     use crate::flash::Sectors;
-    use crate::outputs::Outputs;
+    use crate::inputs::Inputs;
+    use crate::outputs::{self, Outputs};
     use crate::time::{self, Clock};
-    use crate::uart::Uart;
+    use crate::uart::{Registers, Uart};
     use crate::watchdog::Watchdog;
     use crate::{clocks, reset};
     use core::mem::MaybeUninit;
@@ -34,6 +34,7 @@ mod app {
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
     use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
+    use jointbus_mcu_bridge::io::alive::{Marks, Part};
     use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
@@ -57,11 +58,14 @@ mod app {
         overrun: AtomicBool::new(false),
     };
 
+    /// What has advanced since the watchdog was fed.
+    static MARKS: Marks = Marks::new();
+
     #[shared]
     struct Shared {
-        uart1: Uart<USART1>,
-        uart2: Uart<USART2>,
-        uart3: Uart<USART3>,
+        uart1: Uart,
+        uart2: Uart,
+        uart3: Uart,
     }
 
     #[local]
@@ -69,8 +73,9 @@ mod app {
         engine: &'static mut Engine,
         clock: Clock,
         watchdog: Watchdog,
+        inputs: Inputs,
         outputs: Outputs,
-        ports: [(Port, MainSide<'static>, Interrupt); 3],
+        ports: [(Port, Part, MainSide<'static>, Interrupt); 3],
         /// `None` where the controller does not answer.
         can: Option<u32>,
         store: Option<Store<Sectors>>,
@@ -115,6 +120,20 @@ mod app {
         let _ = (gpioa.pa4.into_analog(), gpioa.pa5.into_analog());
         let _ = (gpioc.pc6.into_alternate::<2>(), gpioc.pc7.into_alternate::<2>());
         let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
+        // digital inputs and outputs
+        let _ = (gpioc.pc0.into_pull_up_input(), gpioc.pc1.into_pull_up_input());
+        let _ = (gpioc.pc2.into_pull_up_input(), gpioc.pc3.into_pull_up_input());
+        let _ = (gpioc.pc4.into_pull_up_input(), gpioc.pc5.into_pull_up_input());
+        let _ = (gpioc.pc8.into_pull_up_input(), gpioc.pc9.into_pull_up_input());
+        outputs::drive_digital(0);
+        let _ = (gpiob.pb5.into_push_pull_output(), gpiob.pb6.into_push_pull_output());
+        let _ = (gpiob.pb7.into_push_pull_output(), gpiob.pb13.into_push_pull_output());
+        let _ = (gpiob.pb14.into_push_pull_output(), gpiob.pb15.into_push_pull_output());
+        let _ = (gpioc.pc10.into_push_pull_output(), gpioc.pc11.into_push_pull_output());
+        // analog inputs
+        let _ = (gpioa.pa0.into_analog(), gpioa.pa6.into_analog());
+        let _ = (gpioa.pa7.into_analog(), gpiob.pb0.into_analog());
+        let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, &mut rcc, time::micros());
 
         USART1::enable(&mut rcc);
         USART1::reset(&mut rcc);
@@ -125,9 +144,11 @@ mod app {
         let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
         let [first, second, third] = cx.local.queues;
         let ((in1, main1), (in2, main2), (in3, main3)) = (first.split(), second.split(), third.split());
-        let uart1 = Uart::new(device.USART1, pclk2, None, in1, network.port(Port::Host));
-        let uart2 = Uart::new(device.USART2, pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
-        let uart3 = Uart::new(device.USART3, pclk1, Some(driver_b), in3, network.port(Port::Rs485B));
+        let uart1 = Uart::new(Registers::of(device.USART1), pclk2, None, in1, network.port(Port::Host));
+        let uart2 =
+            Uart::new(Registers::of(device.USART2), pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
+        let uart3 =
+            Uart::new(Registers::of(device.USART3), pclk1, Some(driver_b), in3, network.port(Port::Rs485B));
 
         CAN1::enable(&mut rcc);
         CAN1::reset(&mut rcc);
@@ -149,42 +170,49 @@ mod app {
             no_can: can.is_none(),
             defaulted: loaded.is_err(),
         });
-        defmt::info!("jointbus: crystal {}, can {}", crystal, can.is_some());
 
         let ports = [
-            (Port::Host, main1, Interrupt::USART1),
-            (Port::Rs485A, main2, Interrupt::USART2),
-            (Port::Rs485B, main3, Interrupt::USART3),
+            (Port::Host, Part::Host, main1, Interrupt::USART1),
+            (Port::Rs485A, Part::Rs485A, main2, Interrupt::USART2),
+            (Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3),
         ];
         (
             Shared { uart1, uart2, uart3 },
-            Local { engine, clock, watchdog, outputs, ports, can, store, frames_in, frames },
+            Local { engine, clock, watchdog, inputs, outputs, ports, can, store, frames_in, frames },
         )
     }
 
     #[idle(
-        local = [engine, clock, watchdog, outputs, ports, can, store, frames, rebooting: bool = false],
+        local = [engine, clock, watchdog, inputs, outputs, ports, can, store, frames, rebooting: bool = false],
         shared = [uart1, uart2, uart3]
     )]
     fn idle(mut cx: idle::Context) -> ! {
         let local = cx.local;
         loop {
             let now = local.clock.now();
-            for (port, queues, _) in local.ports.iter_mut() {
+            let analog = local.inputs.analog(now.as_micros() as u32);
+            local.engine.set_inputs(local.inputs.digital(), analog);
+            MARKS.set(Part::Inputs);
+            for (port, _, queues, _) in local.ports.iter_mut() {
                 queues.carry_in(local.engine, *port, now);
             }
             carry_can_in(local.engine, local.frames, now);
-            local.engine.poll(now);
+            poll(local.engine, now);
 
-            for (port, queues, interrupt) in local.ports.iter_mut() {
+            for (port, part, queues, interrupt) in local.ports.iter_mut() {
                 if queues.carry_out(local.engine, *port) {
                     rtic::pend(*interrupt);
+                }
+                if queues.advances() {
+                    MARKS.set(*part);
                 }
             }
             if local.can.is_some() {
                 carry_can_out(local.engine, now);
             }
+            MARKS.set(Part::Can);
             local.outputs.apply(local.engine.analog_outputs());
+            outputs::drive_digital(local.engine.digital_outputs());
 
             if let Some(config) = local.engine.take_port_change(Port::Host) {
                 cx.shared.uart1.lock(|uart| uart.configure(&config));
@@ -202,12 +230,7 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
-            if let Some(settings) = local.engine.take_save() {
-                local.watchdog.stretch();
-                let stored = local.store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
-                local.watchdog.relax();
-                local.engine.saved(stored);
-            }
+            save(local.engine, local.store, local.watchdog);
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
@@ -215,16 +238,37 @@ mod app {
             if *local.rebooting && answered && cx.shared.uart1.lock(|uart| uart.is_quiet()) {
                 reset::by_command();
             }
-            local.watchdog.feed();
+            MARKS.set(Part::Loop);
+            if MARKS.take_all() {
+                local.watchdog.feed();
+            }
             // an interrupt between the look and the sleep ends the sleep at once
             cortex_m::interrupt::free(|_| {
-                if local.ports.iter().all(|(_, queues, _)| queues.is_idle()) && !local.frames.ready() {
+                if local.ports.iter().all(|(_, _, queues, _)| queues.is_idle()) && !local.frames.ready() {
                     cortex_m::asm::wfi();
                 }
             });
         }
     }
 
+    // these are never inlined: what they need of the stack is to be in use only while they run
+
+    #[inline(never)]
+    fn poll(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+        engine.poll(now);
+    }
+
+    #[inline(never)]
+    fn save(engine: &mut Engine, store: &mut Option<Store<Sectors>>, watchdog: &mut Watchdog) {
+        if let Some(settings) = engine.take_save() {
+            watchdog.stretch();
+            let stored = store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
+            watchdog.relax();
+            engine.saved(stored);
+        }
+    }
+
+    #[inline(never)]
     fn carry_can_in(
         engine: &mut Engine,
         frames: &mut Consumer<'static, (Frame, u32)>,
@@ -255,6 +299,7 @@ mod app {
         }
     }
 
+    #[inline(never)]
     fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
         let can = can();
         engine.set_bus_off(bxcan::is_bus_off(can), now);
@@ -284,6 +329,7 @@ mod app {
     #[task(binds = SysTick, priority = 4)]
     fn tick(_: tick::Context) {
         time::tick();
+        MARKS.set(Part::Tick);
     }
 
     #[task(binds = CAN1_RX0, priority = 3, local = [frames_in])]

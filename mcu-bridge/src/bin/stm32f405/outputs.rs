@@ -1,9 +1,10 @@
-//! The board's four analog outputs: two DAC channels and two PWM channels. The output stage behind them makes volts or
-//! milliamperes of the steps; the middle of the range is 0, and that is where an output that is off stays.
+//! The board's eight digital outputs and its four analog ones: two DAC channels and two PWM channels. The output stage
+//! behind those makes volts or milliamperes of the steps; the middle of the range is 0, and that is where an output that
+//! is off stays.
 
 use crate::constants::{OUTPUT_OFF, OUTPUT_STEPS};
 use jointbus_protocol::nxi6201::{Channel, Settings};
-use stm32f4xx_hal::pac::{DAC, RCC, TIM3};
+use stm32f4xx_hal::pac::{DAC, GPIOB, GPIOC, RCC, TIM3};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 
 /// DAC channels on PA4 and PA5, PWM channels on PC6 and PC7.
@@ -51,6 +52,18 @@ impl Outputs {
             self.timer.ccr2().write(|w| w.bits(d));
         }
         self.applied = *settings;
+    }
+}
+
+/// Drives the digital outputs, DO0 in bit 0: PB5 to PB7, PB13 to PB15, PC10 and PC11. Their modes are set.
+pub fn drive_digital(values: u16) {
+    let port_b = u32::from(values & 0b111) << 5 | u32::from(values >> 3 & 0b111) << 13;
+    let port_c = u32::from(values >> 6 & 0b11) << 10;
+    let (all_b, all_c) = (0b111 << 5 | 0b111 << 13, 0b11 << 10);
+    // SAFETY: each bit of this register sets or resets one pin, all of them outputs of this module
+    unsafe {
+        (*GPIOB::ptr()).bsrr().write(|w| w.bits((all_b & !port_b) << 16 | port_b));
+        (*GPIOC::ptr()).bsrr().write(|w| w.bits((all_c & !port_c) << 16 | port_c));
     }
 }
 

@@ -13,7 +13,7 @@ static MARK: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 const PANIC: u32 = 0x5041_4E49;
 
 /// Resets the chip after a panic or a fault.
-pub fn after_panic() -> ! {
+pub extern "C" fn after_panic() -> ! {
     let [mark, complement] = &MARK;
     mark.store(PANIC, Ordering::SeqCst);
     complement.store(!PANIC, Ordering::SeqCst);
@@ -44,15 +44,20 @@ pub fn cause(rcc: &pac::RCC) -> ResetCause {
 }
 
 #[panic_handler]
-fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
-    let line = info.location().map_or(0, core::panic::Location::line);
-    defmt::error!("panic in line {}", line);
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     after_panic()
 }
 
-// SAFETY: it touches nothing but the mark and the reset register
-#[cortex_m_rt::exception]
-unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
-    defmt::error!("hard fault at {:#010x}", frame.pc());
-    after_panic()
+/// Every fault ends here. The stack may be what has failed, and then nothing can be pushed: it starts anew first.
+#[unsafe(naked)]
+// SAFETY: the name is that of the vector table's entry (cortex-m-rt), and nothing else has it
+#[unsafe(no_mangle)]
+extern "C" fn HardFault() -> ! {
+    core::arch::naked_asm!(
+        "movw r0, :lower16:_stack_start",
+        "movt r0, :upper16:_stack_start",
+        "mov sp, r0",
+        "b {after_panic}",
+        after_panic = sym after_panic,
+    )
 }

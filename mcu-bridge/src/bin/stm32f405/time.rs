@@ -30,7 +30,7 @@ pub fn tick() {
 
 /// Low half of the microseconds since boot, from anywhere.
 pub fn micros() -> u32 {
-    let cycles = CYCLES.load(Ordering::Relaxed);
+    let cycles = CYCLES.load(Ordering::Relaxed).max(1);
     let reload = cycles * TICK_US - 1;
     // two tries meet a tick between the reads at most once
     for _ in 0..2 {

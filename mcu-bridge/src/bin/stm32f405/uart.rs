@@ -9,19 +9,41 @@ use stm32f4xx_hal::pac::usart1::RegisterBlock;
 /// The driver-enable pin of an RS485 port; a port without one is full duplex.
 pub type DriverEnable = Option<ErasedPin<Output>>;
 
+/// The registers of a USART, of one type for all of them, so that the code of a port is there once.
+pub struct Registers(*const RegisterBlock);
+
+// SAFETY: whoever made it owned the USART, and it goes where the port goes
+unsafe impl Send for Registers {}
+
+impl Registers {
+    /// Takes a USART.
+    pub fn of(usart: impl Deref<Target = RegisterBlock>) -> Self {
+        Self(&raw const *usart)
+    }
+}
+
+impl Deref for Registers {
+    type Target = RegisterBlock;
+
+    fn deref(&self) -> &RegisterBlock {
+        // SAFETY: the peripheral exists as long as the chip runs
+        unsafe { &*self.0 }
+    }
+}
+
 /// A port, owned by its interrupt.
-pub struct Uart<U> {
-    usart: U,
+pub struct Uart {
+    usart: Registers,
     bus_hz: u32,
     driver_enable: DriverEnable,
     queues: InterruptSide<'static>,
     sending: bool,
 }
 
-impl<U: Deref<Target = RegisterBlock>> Uart<U> {
+impl Uart {
     /// Takes a USART whose clock `bus_hz` runs and whose pins are set.
     pub fn new(
-        usart: U,
+        usart: Registers,
         bus_hz: u32,
         driver_enable: DriverEnable,
         queues: InterruptSide<'static>,

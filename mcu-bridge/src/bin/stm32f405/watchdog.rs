@@ -1,4 +1,4 @@
-//! The independent watchdog: half a second without a turn of the main loop resets the chip.
+//! The independent watchdog: half a second in which a part of the firmware stands still resets the chip.
 
 use crate::constants::{HARDWARE_TRIES, WATCHDOG_STEPS, WATCHDOG_STRETCHED_STEPS};
 use stm32f4xx_hal::pac;
@@ -49,7 +49,7 @@ impl Watchdog {
         self.feed();
     }
 
-    /// The main loop has turned.
+    /// Everything has advanced.
     pub fn feed(&mut self) {
         // SAFETY: the key of RM0090, 21.4.1
         self.0.kr().write(|w| unsafe { w.key().bits(FEED) });

@@ -1,0 +1,146 @@
+//! Whatever stands still or faults leads to a reset that tells its cause.
+
+use super::*;
+use jointbus_host_tests::bench::OUTPUTS_UNIT;
+use jointbus_host_tests::clock::Clock;
+use jointbus_host_tests::emulator::Debugger;
+
+#[test]
+fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
+    let (options, debugger) = debuggable(options());
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
+    set_register(debugger, Debugger::PC, 0xF000_0000);
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
+    client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
+}
+
+#[test]
+fn a_main_loop_that_stands_still_is_reset_by_the_watchdog() {
+    let (options, debugger) = debuggable(watched());
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "it was fed all the time");
+    set_register(debugger, Debugger::PC, standstill());
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
+}
+
+#[test]
+fn a_stack_that_overflows_leads_to_a_reset_whose_cause_is_told() {
+    let (options, debugger) = debuggable(options());
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
+    // as though the main loop had used all but 16 bytes: the next interrupt pushes more than that
+    set_register(debugger, Debugger::SP, STACK + 16);
+    client.set_timeout(Duration::from_millis(500));
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
+}
+
+#[test]
+fn a_tick_that_stops_is_noticed_by_the_watchdog() {
+    const SYST_CSR: u32 = 0xE000_E010;
+    let (options, debugger) = debuggable(watched());
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    store(debugger, SYST_CSR, 0);
+    client.set_timeout(Duration::from_millis(500));
+    // each of these questions turns the main loop, which alone would feed the watchdog
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
+}
+
+#[test]
+fn a_port_that_sends_nothing_any_more_is_noticed_by_the_watchdog() {
+    const NVIC_ICER1: u32 = 0xE000_E184;
+    const USART2: u32 = 1 << (38 - 32);
+    let (options, debugger) = debuggable(watched());
+    let bench = Bench::emulated(&options).unwrap();
+    let mut client = bench.client().unwrap();
+    client.nst(RS485_A_UNIT).sample().unwrap();
+    store(debugger, NVIC_ICER1, USART2);
+    client.set_timeout(Duration::from_millis(500));
+    assert!(client.nst(RS485_A_UNIT).sample().is_err(), "it has something to send");
+    until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
+}
+
+#[test]
+fn no_request_uses_more_stack_than_there_is() {
+    const PAINT: u8 = 0xA5;
+    let (options, debugger) = debuggable(Options { paused: true, ..options() });
+    let emulator = Emulator::launch(&options).unwrap();
+    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    // the first word of the image is where its stack starts
+    let top = u32::from_le_bytes(stopped.read(0x0800_0000, 4).unwrap().try_into().unwrap());
+    let size = usize::try_from(top - STACK).unwrap();
+    stopped.write(STACK, &vec![PAINT; size]).unwrap();
+    stopped.resume().unwrap();
+
+    let bench = Bench::with(Bridge::Emulated(Box::new(emulator)), Clock::default()).unwrap();
+    let mut client = bench.client().unwrap();
+    for _ in 0..3 {
+        client.nst(CAN_UNIT).write(0x00E3, &[7; 144]).unwrap();
+        client.nst(CAN_UNIT).read(0x0000, 227).unwrap();
+        client.nst(RS485_A_UNIT).read(0x0000, 227).unwrap();
+        client.modbus(RS485_B_UNIT).read_input_registers(0x0040, 8).unwrap();
+        client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap();
+        client.modbus(bridge::UNIT).read_input_registers(0, 120).unwrap();
+        client.modbus(bridge::UNIT).write_register(0, 0x5A7E).unwrap();
+    }
+    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    let stack = stopped.read(STACK, size).unwrap();
+    stopped.resume().unwrap();
+    let untouched = stack.iter().take_while(|byte| **byte == PAINT).count();
+    println!("{} of {size} bytes of stack used", size - untouched);
+    assert!(untouched > 0 && untouched < size, "{untouched} bytes of {size} are untouched");
+}
+
+/// Where the stack ends: at the start of the RAM.
+const STACK: u32 = 0x2000_0000;
+
+/// With a watchdog that bites.
+fn watched() -> Options {
+    Options { watchdog: true, ..counted() }
+}
+
+fn set_register(debugger: SocketAddr, register: u8, value: u32) {
+    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    stopped.set_register(register, value).unwrap();
+    stopped.resume().unwrap();
+}
+
+/// Has the processor store a word, because the debugger's port reaches no registers of peripherals.
+fn store(debugger: SocketAddr, address: u32, value: u32) {
+    // at the end of the stack, which is not in use
+    const PLACE: u32 = STACK;
+    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    let back = stopped.register(Debugger::PC).unwrap();
+    let code: [u16; 8] = [
+        0xB403, // push {r0, r1}
+        0x4803, // ldr r0, the value
+        0x4903, // ldr r1, the address
+        0x6008, // str r0, [r1]
+        0xBC03, // pop {r0, r1}
+        0xF8DF, 0xF00C, // ldr pc, the way back
+        0xBF00, // nop
+    ];
+    let mut bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
+    for word in [value, address, back | 1] {
+        bytes.extend(word.to_le_bytes());
+    }
+    stopped.write(PLACE, &bytes).unwrap();
+    stopped.set_register(Debugger::PC, PLACE).unwrap();
+    stopped.resume().unwrap();
+}
+
+/// An address in the image at which the processor jumps to where it is.
+fn standstill() -> u32 {
+    const BRANCH_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
+    const FLASH: u32 = 0x0800_0000;
+    let binary = std::fs::read(common::image().with_extension("bin")).unwrap();
+    let place = binary.as_chunks::<2>().0.iter().position(|code| *code == BRANCH_TO_ITSELF);
+    FLASH + 2 * u32::try_from(place.expect("every image has such an instruction")).unwrap()
+}

@@ -1,0 +1,52 @@
+//! The board's own inputs and outputs as an NDAM module.
+
+use super::LOCAL_IO;
+use jointbus_protocol::ndam9010::{ChannelError, Layout, Module};
+
+/// Values of the analog inputs.
+pub(super) type Analog = [u16; LOCAL_IO.analog_inputs as usize];
+
+/// The module. What the board has not told, or can't, fails; an output never does.
+#[derive(Debug, Clone, Default)]
+pub(super) struct LocalIo {
+    /// Digital inputs, DI0 in bit 0.
+    pub(super) inputs: Option<u16>,
+    /// Digital outputs, DO0 in bit 0.
+    pub(super) outputs: u16,
+    pub(super) analog: Option<Analog>,
+}
+
+impl Module for LocalIo {
+    fn layout(&self) -> Layout {
+        LOCAL_IO
+    }
+
+    fn digital_inputs(&mut self) -> Result<u16, ChannelError> {
+        self.inputs.ok_or(ChannelError::Failed)
+    }
+
+    fn digital_outputs(&mut self) -> Result<u16, ChannelError> {
+        Ok(self.outputs)
+    }
+
+    fn set_digital_outputs(&mut self, mask: u16, value: u16) -> Result<(), ChannelError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        Ok(())
+    }
+
+    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
+        let analog = self.analog.ok_or(ChannelError::Failed)?;
+        values.iter_mut().zip(analog).for_each(|(place, value)| *place = value);
+        Ok(())
+    }
+
+    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
+        values.fill(0);
+        Ok(())
+    }
+
+    fn set_analog_outputs(&mut self, _first: u8, _values: &[u16]) -> Result<(), ChannelError> {
+        // the layout has none
+        Err(ChannelError::Failed)
+    }
+}

@@ -1,0 +1,75 @@
+//! Whether everything that has to go on goes on: what the watchdog is fed for.
+
+use core::sync::atomic::{AtomicU8, Ordering};
+
+/// A part of the firmware that can stand still by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The tick's interrupt: time passes.
+    Tick,
+    /// The main loop has carried everything in, asked the engine, and carried everything out.
+    Loop,
+    /// The host's port has nothing to send, or has sent something.
+    Host,
+    /// The first RS485 port, likewise.
+    Rs485A,
+    /// The second RS485 port, likewise.
+    Rs485B,
+    /// The CAN controller has been looked after.
+    Can,
+    /// The inputs have been read.
+    Inputs,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Self; 7] =
+        [Self::Tick, Self::Loop, Self::Host, Self::Rs485A, Self::Rs485B, Self::Can, Self::Inputs];
+
+    const fn bit(self) -> u8 {
+        1 << self as u8
+    }
+}
+
+/// A mark for every part, set from anywhere.
+#[derive(Debug, Default)]
+pub struct Marks(AtomicU8);
+
+impl Marks {
+    /// No part has advanced yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(AtomicU8::new(0))
+    }
+
+    /// A part has advanced.
+    pub fn set(&self, part: Part) {
+        self.0.fetch_or(part.bit(), Ordering::Relaxed);
+    }
+
+    /// Whether every part has advanced since this was last true.
+    pub fn take_all(&self) -> bool {
+        let all = Part::ALL.iter().fold(0, |bits, part| bits | part.bit());
+        // a mark that is set meanwhile makes this wait for the next turn
+        self.0.compare_exchange(all, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_when_every_part_has_advanced_since_the_last_time() {
+        for missing in Part::ALL {
+            let marks = Marks::new();
+            for _ in 0..2 {
+                Part::ALL.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
+                assert!(!marks.take_all(), "{missing:?} stands still");
+            }
+            marks.set(missing);
+            assert!(marks.take_all());
+            assert!(!marks.take_all(), "all have to advance again");
+        }
+    }
+}

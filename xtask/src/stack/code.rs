@@ -1,0 +1,475 @@
+//! What a function's machine code does to the stack: how deep it goes by itself, and how deep it is where it calls.
+//!
+//! Every path through the function is followed, with the stack pointer counted along. Whatever cannot be followed is
+//! an error: an unknown change of the stack pointer, an unknown jump, a stack that grows in a loop.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, bail, ensure};
+use yaxpeax_arch::{Decoder as _, U8Reader};
+use yaxpeax_arm::armv7::{ConditionCode, InstDecoder, Instruction, Opcode, Operand};
+
+/// No function of a small part goes this deep, so a loop that pushes is noticed.
+const ABSURD: u32 = 1 << 16;
+
+/// Fills up to whole words.
+const NOP: u32 = 0xBF00;
+
+/// Numbers of registers.
+const SP: u8 = 13;
+const LR: u8 = 14;
+const PC: u8 = 15;
+
+/// The code of a function.
+#[derive(Clone, Copy)]
+pub(super) struct Code<'data> {
+    /// Address of the first instruction.
+    pub(super) start: u32,
+    pub(super) bytes: &'data [u8],
+    /// Where in the image code (`true`) or data begins, in the order of addresses.
+    pub(super) kinds: &'data [(u32, bool)],
+}
+
+/// What a function does.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Summary {
+    /// Bytes that it takes by itself.
+    pub(super) frame: u32,
+    /// Whom it calls, and the bytes that it has taken then.
+    pub(super) calls: Vec<(Callee, u32)>,
+    /// Whether it uses the floating-point unit.
+    pub(super) float: bool,
+}
+
+/// What is called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Callee {
+    /// The function at an address.
+    At(u32),
+    /// Whatever a register points to.
+    Unknown,
+}
+
+/// One instruction as far as it matters here.
+#[derive(Debug, PartialEq, Eq)]
+struct Step {
+    length: u32,
+    /// Bytes that it pushes; negative where it pops.
+    pushes: i32,
+    flow: Flow,
+    float: bool,
+}
+
+/// Where it goes on.
+#[derive(Debug, PartialEq, Eq)]
+enum Flow {
+    Next,
+    /// To an address, and to the next instruction where there is a condition.
+    Jump(u32),
+    Branch(u32),
+    Call(Callee),
+    /// To where a register points, and not back.
+    Leave,
+    /// By a table behind it, whose entries have so many bytes.
+    Table(u32),
+    /// Into a row of jumps behind it.
+    Row,
+    /// A condition for so many instructions.
+    Conditions(u32),
+    /// Back to the caller, or nowhere.
+    End,
+}
+
+/// Follows every path.
+pub(super) fn summary(code: Code<'_>) -> Result<Summary> {
+    let mut summary = Summary::default();
+    // depth before each instruction, and how many instructions from it on have a condition
+    let mut known: BTreeMap<u32, (u32, u32)> = BTreeMap::new();
+    let mut open = vec![(code.start, 0u32, 0u32)];
+    while let Some((address, depth, conditions)) = open.pop() {
+        ensure!(depth < ABSURD, "the stack grows in a loop at {address:#x}");
+        match known.get_mut(&address) {
+            Some((seen, _)) if *seen >= depth => continue,
+            Some((seen, _)) => *seen = depth,
+            None => drop(known.insert(address, (depth, conditions))),
+        }
+        let step = decode(code, address)?;
+        summary.float |= step.float;
+        let after = depth
+            .checked_add_signed(step.pushes)
+            .with_context(|| format!("more is popped than was pushed at {address:#x}"))?;
+        summary.frame = summary.frame.max(after);
+        let next = address + step.length;
+        let is_conditional = conditions > 0;
+        let left = conditions.saturating_sub(1);
+        // a return pops what its function has pushed, which is then still there for whom it did not return
+        ensure!(
+            !is_conditional || step.pushes == 0 || step.flow == Flow::End,
+            "the stack changes under a condition at {address:#x}"
+        );
+        let mut go = |to: u32, depth: u32, conditions: u32| open.push((to, depth, conditions));
+        match step.flow {
+            Flow::Next => go(next, after, left),
+            Flow::Conditions(count) => go(next, after, count),
+            Flow::Jump(to) | Flow::Branch(to) if !code.contains(to) => {
+                // the last thing that a function does may be to jump to another one
+                summary.calls.push((Callee::At(to), after));
+                if matches!(step.flow, Flow::Branch(_)) || is_conditional {
+                    go(next, after, left);
+                }
+            }
+            Flow::Jump(to) => {
+                go(to, after, 0);
+                if is_conditional {
+                    go(next, after, left);
+                }
+            }
+            Flow::Branch(to) => {
+                go(to, after, 0);
+                go(next, after, left);
+            }
+            Flow::Call(callee) => {
+                summary.calls.push((callee, after));
+                // behind the call of a function that does not return there may be nothing, or data after a filler
+                let behind = if code.half(next) == Some(NOP) { next + 2 } else { next };
+                if code.contains(behind) && code.is_code(behind) {
+                    go(next, after, left);
+                }
+            }
+            Flow::Leave => {
+                summary.calls.push((Callee::Unknown, after));
+                if is_conditional {
+                    go(next, after, left);
+                }
+            }
+            Flow::Table(width) => {
+                for to in table(code, next, width)? {
+                    go(to, after, 0);
+                }
+            }
+            Flow::Row => {
+                for to in row(code, next)? {
+                    go(to, after, 0);
+                }
+            }
+            Flow::End if is_conditional => go(next, depth, left),
+            Flow::End => {}
+        }
+    }
+    Ok(summary)
+}
+
+impl<'data> Code<'data> {
+    fn contains(self, address: u32) -> bool {
+        self.from(address).is_some_and(|rest| !rest.is_empty())
+    }
+
+    fn is_code(self, address: u32) -> bool {
+        let before = self.kinds.partition_point(|(start, _)| *start <= address);
+        before.checked_sub(1).is_none_or(|last| self.kinds.get(last).is_none_or(|(_, is_code)| *is_code))
+    }
+
+    fn from(self, address: u32) -> Option<&'data [u8]> {
+        self.bytes.get(usize::try_from(address.checked_sub(self.start)?).ok()?..)
+    }
+
+    fn half(self, address: u32) -> Option<u32> {
+        self.from(address)?.first_chunk().map(|bytes| u32::from(u16::from_le_bytes(*bytes)))
+    }
+}
+
+/// Targets of a table of offsets that starts at an address and ends where code follows again.
+fn table(code: Code<'_>, base: u32, width: u32) -> Result<Vec<u32>> {
+    let end = code.kinds.iter().find(|(start, is_code)| *start > base && *is_code);
+    let (end, _) = *end.with_context(|| format!("the table at {base:#x} has no end"))?;
+    let mut targets = Vec::new();
+    for place in (base..end).step_by(width as usize) {
+        let half = code.half(place & !1).with_context(|| format!("the table at {base:#x} has no end"))?;
+        let entry = match (width, place & 1) {
+            (1, 0) => half & 0xFF,
+            (1, _) => half >> 8,
+            _ => half,
+        };
+        // a byte fills up the table to whole instructions
+        let is_filler = width == 1 && entry == 0 && place + 1 == end;
+        if !is_filler {
+            let target = base + 2 * entry;
+            ensure!(code.contains(target) && target >= end, "the table at {base:#x} leads astray");
+            targets.push(target);
+        }
+    }
+    Ok(targets)
+}
+
+/// The jumps that stand in a row from an address on, after a filler.
+fn row(code: Code<'_>, start: u32) -> Result<Vec<u32>> {
+    let mut place = if code.half(start) == Some(NOP) { start + 2 } else { start };
+    let mut jumps = Vec::new();
+    while let Ok(Step { length: 4, flow: Flow::Jump(_), .. }) = decode(code, place) {
+        jumps.push(place);
+        place += 4;
+    }
+    ensure!(!jumps.is_empty(), "a computed jump at {start:#x} leads nobody knows where");
+    Ok(jumps)
+}
+
+fn decode(code: Code<'_>, address: u32) -> Result<Step> {
+    let bytes =
+        code.from(address).with_context(|| format!("the code leaves its function at {address:#x}"))?;
+    let (Some(first), second) = (code.half(address), code.half(address + 2)) else {
+        bail!("the code leaves its function at {address:#x}");
+    };
+    // coprocessor space, where the decoder knows nothing of floating-point instructions
+    if let (0b111, Some(second)) = (first >> 13 & 0b111, second)
+        && first & 0x0C00 == 0x0C00
+    {
+        return coprocessor(first, second).with_context(|| format!("at {address:#x}"));
+    }
+    let instruction = InstDecoder::default_thumb()
+        .decode(&mut U8Reader::new(bytes))
+        .map_err(|error| anyhow::anyhow!("no instruction at {address:#x}: {error:?}"))?;
+    let length = if instruction.wide { 4 } else { 2 };
+    let flow = flow(&instruction, address).with_context(|| format!("{instruction} at {address:#x}"))?;
+    let pushes = pushes(&instruction).with_context(|| format!("{instruction} at {address:#x}"))?;
+    Ok(Step { length, pushes, flow, float: false })
+}
+
+/// An instruction of a coprocessor: the floating-point unit's push and pop, or one that leaves the stack pointer
+/// alone (ARMv7-M reference manual, A6.4 to A6.7).
+fn coprocessor(first: u32, second: u32) -> Result<Step> {
+    let bytes = 4 * (second & 0xFF) as i32;
+    let float = matches!(second >> 8 & 0xF, 10 | 11);
+    let pushes = match first & 0xFFBF {
+        0xED2D if float => bytes,
+        0xECBD if float => -bytes,
+        _ => {
+            let moves_memory = first & 0x0200 == 0;
+            let writes_back = first & 0x0020 != 0;
+            ensure!(
+                !(moves_memory && writes_back && first & 0xF == u32::from(SP)),
+                "an unknown change of the stack pointer"
+            );
+            0
+        }
+    };
+    Ok(Step { length: 4, pushes, flow: Flow::Next, float })
+}
+
+fn flow(instruction: &Instruction, address: u32) -> Result<Flow> {
+    let is_short = !instruction.wide
+        && (instruction.condition != ConditionCode::AL
+            || matches!(instruction.opcode, Opcode::CBZ | Opcode::CBNZ));
+    // the decoder counts the short conditional ones from the next instruction, the others from four bytes on
+    let base = address.wrapping_add(if is_short { 2 } else { 4 });
+    let target = |offset: i32| base.wrapping_add_signed(2 * offset);
+    let [first, second, ..] = &instruction.operands;
+    Ok(match (instruction.opcode, first, second) {
+        (Opcode::B, Operand::BranchThumbOffset(offset), _) => match instruction.condition {
+            ConditionCode::AL => Flow::Jump(target(*offset)),
+            _ => Flow::Branch(target(*offset)),
+        },
+        (Opcode::CBZ | Opcode::CBNZ, _, Operand::BranchThumbOffset(offset)) => Flow::Branch(target(*offset)),
+        (Opcode::BL, Operand::BranchThumbOffset(offset), _) => Flow::Call(Callee::At(target(*offset))),
+        (Opcode::BLX, Operand::Reg(_), _) => Flow::Call(Callee::Unknown),
+        (Opcode::BX, Operand::Reg(register), _) if register.number() == LR => Flow::End,
+        (Opcode::BX, Operand::Reg(_), _) => Flow::Leave,
+        (Opcode::TBB, ..) => Flow::Table(1),
+        (Opcode::TBH, ..) => Flow::Table(2),
+        (Opcode::IT, _, Operand::Imm32(mask)) => Flow::Conditions(4 - mask.trailing_zeros().min(3)),
+        (Opcode::POP, Operand::RegList(registers), _) if registers & 1 << PC != 0 => Flow::End,
+        (Opcode::UDF, ..) => Flow::End,
+        (Opcode::MOV, Operand::Reg(to), Operand::Reg(from)) if to.number() == PC => {
+            if from.number() == LR {
+                Flow::End
+            } else {
+                Flow::Row
+            }
+        }
+        (Opcode::LDR, Operand::Reg(to), Operand::RegDerefPostindexOffset(base, 4, true, _))
+            if to.number() == PC && base.number() == SP =>
+        {
+            Flow::End
+        }
+        // what else could write the program counter
+        (Opcode::STR | Opcode::CMP | Opcode::TST | Opcode::CMN | Opcode::TEQ, ..) => Flow::Next,
+        (_, Operand::Reg(to), _) if to.number() == PC => bail!("an unknown jump"),
+        _ => Flow::Next,
+    })
+}
+
+/// Bytes that an instruction pushes.
+fn pushes(instruction: &Instruction) -> Result<i32> {
+    let [first, second, third, _] = &instruction.operands;
+    let registers = |list: u16| 4 * list.count_ones() as i32;
+    let is_sp = |operand: &Operand| matches!(operand, Operand::Reg(register) if register.number() == SP);
+    Ok(match (instruction.opcode, first, second, third) {
+        (Opcode::PUSH, Operand::RegList(list), ..) => registers(*list),
+        (Opcode::POP, Operand::RegList(list), ..) => -registers(*list),
+        (Opcode::SUB, _, _, Operand::Imm32(bytes)) if is_sp(first) && is_sp(second) => i32::try_from(*bytes)?,
+        (Opcode::ADD, _, _, Operand::Imm32(bytes)) if is_sp(first) && is_sp(second) => {
+            -i32::try_from(*bytes)?
+        }
+        (Opcode::CMP | Opcode::CMN | Opcode::TST | Opcode::TEQ, ..) => 0,
+        // loads, stores and everything else: the operand that is changed by the way
+        _ => {
+            ensure!(
+                !is_sp(first) || matches!(instruction.opcode, Opcode::MSR),
+                "an unknown change of the stack pointer"
+            );
+            let mut change = 0;
+            for operand in &instruction.operands {
+                change += match operand {
+                    Operand::RegDerefPreindexOffset(base, bytes, up, true)
+                    | Operand::RegDerefPostindexOffset(base, bytes, up, _)
+                        if base.number() == SP =>
+                    {
+                        if *up {
+                            -i32::from(*bytes)
+                        } else {
+                            i32::from(*bytes)
+                        }
+                    }
+                    Operand::RegWBack(base, true)
+                    | Operand::RegDerefPreindexReg(base, _, _, true)
+                    | Operand::RegDerefPostindexReg(base, ..)
+                    | Operand::RegDerefPreindexRegShift(base, _, _, true)
+                    | Operand::RegDerefPostindexRegShift(base, ..)
+                        if base.number() == SP =>
+                    {
+                        bail!("an unknown change of the stack pointer")
+                    }
+                    _ => 0,
+                };
+            }
+            change
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: u32 = 0x0800_0100;
+
+    fn summary_of(halves: &[u16]) -> Result<Summary> {
+        summary_with(halves, &[])
+    }
+
+    fn summary_with(halves: &[u16], kinds: &[(u32, bool)]) -> Result<Summary> {
+        let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
+        summary(Code { start: START, bytes: &bytes, kinds })
+    }
+
+    #[test]
+    fn pushes_and_frames_add_up_at_each_call() {
+        let found = summary_of(&[
+            0xB5F0, // push {r4-r7, lr}
+            0xB087, // sub sp, #28
+            0x4798, // blx r3
+            0xB007, // add sp, #28
+            0xF84D, 0x8D04, // str r8, [sp, #-4]!
+            0xF000, 0xF879, // bl start + 0x102
+            0xF85D, 0x8B04, // ldr r8, [sp], #4
+            0xBDF0, // pop {r4-r7, pc}
+        ])
+        .unwrap();
+        let calls = vec![(Callee::Unknown, 48), (Callee::At(START + 0x102), 24)];
+        assert_eq!(found, Summary { frame: 48, calls, float: false });
+    }
+
+    #[test]
+    fn both_ways_of_a_branch_are_followed() {
+        let found = summary_of(&[
+            0xB108, // cbz r0, the return
+            0xB082, // sub sp, #8
+            0xB002, // add sp, #8
+            0x4770, // bx lr
+        ])
+        .unwrap();
+        assert_eq!(found, Summary { frame: 8, calls: vec![], float: false });
+    }
+
+    #[test]
+    fn every_form_of_a_branch_is_measured_from_its_own_base() {
+        let branches: [(&[u16], u32); 5] = [
+            (&[0xE00E], 32),         // b
+            (&[0xD10E], 32),         // bne
+            (&[0xB178], 34),         // cbz r0
+            (&[0xF000, 0xB80E], 32), // b.w
+            (&[0xF040, 0x800E], 32), // bne.w
+        ];
+        for (halves, distance) in branches {
+            let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
+            let step = decode(Code { start: START, bytes: &bytes, kinds: &[] }, START).unwrap();
+            let to = START + distance;
+            assert!([Flow::Jump(to), Flow::Branch(to)].contains(&step.flow), "{halves:x?}: {step:?}");
+        }
+    }
+
+    #[test]
+    fn a_conditional_return_leaves_the_frame_to_the_other_way() {
+        let found = summary_of(&[
+            0xB510, // push {r4, lr}
+            0xBF08, // it eq
+            0xBD10, // popeq {r4, pc}
+            0xB081, // sub sp, #4
+            0xB001, // add sp, #4
+            0xBD10, // pop {r4, pc}
+        ])
+        .unwrap();
+        assert_eq!(found.frame, 12);
+    }
+
+    #[test]
+    fn tables_are_followed_to_each_of_their_targets() {
+        let found = summary_with(
+            &[
+                0xE8DF, 0xF000, // tbb [pc, r0]
+                0x0301, // two entries
+                0xB081, 0x4770, // sub sp, #4, and back
+                0xB084, 0x4770, // sub sp, #16, and back
+            ],
+            &[(START + 4, false), (START + 6, true)],
+        )
+        .unwrap();
+        assert_eq!(found.frame, 16);
+    }
+
+    #[test]
+    fn floating_point_registers_are_pushed() {
+        let found = summary_of(&[0xED2D, 0x8B04, 0xECBD, 0x8B04, 0x4770]).unwrap();
+        assert_eq!(found, Summary { frame: 16, calls: vec![], float: true });
+    }
+
+    #[test]
+    fn data_behind_a_call_that_does_not_return_is_no_code() {
+        // bl start + 0x102, a nop, and what is no instruction
+        let halves = [0xF000, 0xF87F, 0xBF00, 0xE800, 0x0000];
+        let found = summary_with(&halves, &[(START, true), (START + 6, false)]).unwrap();
+        assert_eq!(found.calls, [(Callee::At(START + 0x102), 0)]);
+        assert!(summary_of(&halves).is_err());
+    }
+
+    #[test]
+    fn a_jump_to_another_function_is_a_call_of_it() {
+        let found = summary_of(&[0xE07E]).unwrap();
+        assert_eq!(found.calls, [(Callee::At(START + 0x100), 0)]);
+    }
+
+    #[test]
+    fn what_cannot_be_followed_is_an_error() {
+        for (halves, why) in [
+            (&[0xEBAD, 0x0D00][..], "unknown change"),  // sub.w sp, sp, r0
+            (&[0x4685, 0x4770], "unknown change"),      // mov sp, r0
+            (&[0xB081, 0xE7FD], "in a loop"),           // sub sp, #4, again and again
+            (&[0x4687, 0x4770], "computed jump"),       // mov pc, r0
+            (&[0xBF08, 0xB081, 0x4770], "a condition"), // subeq sp, #4
+            (&[0xB001, 0x4770], "more is popped"),      // add sp, #4
+            (&[0xBF00], "leaves its function"),         // nop
+        ] {
+            let error = format!("{:#}", summary_of(halves).unwrap_err());
+            assert!(error.contains(why), "{error}");
+        }
+    }
+}
