@@ -47,7 +47,6 @@ pub mod can_bits;
 pub mod can_wire;
 mod delay;
 mod fault;
-mod inject;
 pub mod line;
 mod master;
 mod moment;

@@ -1,10 +1,10 @@
 //! How each kind of fault is brought about on the buses.
 
-use super::can_wire::Disturbance;
-use super::fault::{Fault, Place};
-use super::line::Tamper;
-use super::moment::{MICROS, MILLIS, Moment, Nanos};
-use super::world::{BRIDGE, LINES, World};
+use super::{BRIDGE, LINES, World};
+use crate::sim::can_wire::Disturbance;
+use crate::sim::fault::{Fault, Place};
+use crate::sim::line::Tamper;
+use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::segment;
 
