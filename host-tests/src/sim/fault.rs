@@ -148,6 +148,8 @@ faults! {
         HostWrongCrc = "host-wrong-crc",
         /// A request with one to three wrong bits.
         HostBits = "host-bits",
+        /// A character of a request without its stop bit, and wrong.
+        HostFraming = "host-framing",
         /// A request to a unit that no route serves.
         HostUnknownUnit = "host-unknown-unit",
         /// A request with a function code that is in no table.

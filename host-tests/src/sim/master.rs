@@ -35,6 +35,8 @@ pub struct Tally {
     pub silent: u64,
     /// Requests to units that no route serves.
     pub unknown: u64,
+    /// Copies of broadcasts that buses had to send, and that they have sent.
+    pub copies: [u64; 2],
     /// Writes and commands that devices carried out.
     pub executed: u64,
     /// Frames of the bridge on RS485, and on CAN.
@@ -66,6 +68,8 @@ impl Tally {
         self.refused += other.refused;
         self.silent += other.silent;
         self.unknown += other.unknown;
+        self.copies[0] += other.copies[0];
+        self.copies[1] += other.copies[1];
         self.executed += other.executed;
         self.sent[0] += other.sent[0];
         self.sent[1] += other.sent[1];
@@ -104,6 +108,14 @@ struct Written {
     broadcast: bool,
 }
 
+/// A broadcast on its way: function code onward, when it is too late to send it, and the buses that still have to.
+#[derive(Debug)]
+struct Broadcast {
+    body: Vec<u8>,
+    expires: Moment,
+    to: Vec<Port>,
+}
+
 /// Requests to one unit.
 #[derive(Debug, Default)]
 struct Unit {
@@ -123,6 +135,9 @@ pub struct Master {
     network: Network,
     units: Vec<Unit>,
     written: HashMap<u32, Written>,
+    broadcasts: Vec<Broadcast>,
+    /// The first frame of the broadcast that is on its way on CAN.
+    broadcast_head: Vec<u8>,
     incoming: Vec<u8>,
     /// When something on that port was garbled last.
     garbled: HashMap<usize, Moment>,
@@ -142,6 +157,8 @@ impl Master {
             network: *network,
             units: (0..=u8::MAX).map(|_| Unit::default()).collect(),
             written: HashMap::new(),
+            broadcasts: Vec::new(),
+            broadcast_head: Vec::new(),
             incoming: Vec::new(),
             garbled: HashMap::new(),
             polls: false,
@@ -180,9 +197,41 @@ impl Master {
         self.tally.asked += 1;
     }
 
-    /// Notes a broadcast write of a number that is used once.
-    pub fn broadcast(&mut self, token: u32) {
-        self.written.insert(token, Written { by: 0, broadcast: true });
+    /// Notes a broadcast of a number that is used once, which the bridge has at `at` and sends on these buses.
+    pub fn broadcast(&mut self, question: &Question, to: &[Port], at: Moment) {
+        if let Some(token) = question.token() {
+            self.written.insert(token, Written { by: 0, broadcast: true });
+        }
+        let nst = matches!(question, Question::Write { .. });
+        let row = self.network.routes.iter().find(|row| {
+            row.is_used()
+                && row.protocol.is_nst() == nst
+                && to.iter().any(|port| port.index() == port_of(row))
+        });
+        let expires = at.after(row.map_or(0, |row| u64::from(row.time_to_live_ms)) * MILLIS + NOTICED);
+        let frame = question.frame(0);
+        let body = frame[1..frame.len() - checksum::CRC_LENGTH].to_vec();
+        self.broadcasts.retain(|before| at.since(before.expires) < 1000 * MILLIS);
+        self.broadcasts.push(Broadcast { body, expires, to: to.to_vec() });
+        self.tally.copies[0] += to.len() as u64;
+    }
+
+    /// A broadcast goes out: somebody must have asked for it, not too long ago, and once.
+    fn passes_all(&mut self, port: Port, head: &[u8], is_whole: bool, start: Moment, now: Moment) {
+        let mine =
+            |broadcast: &&mut Broadcast| broadcast.to.contains(&port) && broadcast.body.starts_with(head);
+        let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
+            return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
+        };
+        let limit = if port == Port::Can { broadcast.expires.after(FRAME) } else { broadcast.expires };
+        if is_whole {
+            broadcast.to.retain(|to| *to != port);
+            self.tally.copies[1] += 1;
+        }
+        if start > limit {
+            let late = start.since(limit) / 1000;
+            self.tally.violation(now, || format!("{port:?}: broadcast {late} us after its time to live"));
+        }
     }
 
     /// Whether the same question to the same unit may still be answered: then it could not be told whose an answer is.
@@ -337,7 +386,8 @@ impl Master {
             return self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}"));
         };
         if remote == 0 || remote == u8::MAX {
-            return;
+            let body = body.to_vec();
+            return self.passes_all(port, &body, true, start, now);
         }
         self.passes(port, remote, body, start, now, |asked| asked.body == body);
     }
@@ -348,8 +398,11 @@ impl Master {
         let Id::Extended(raw) = frame.id() else { return };
         let Some(identifier) = Identifier::from_raw(raw) else { return };
         let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
+        if identifier.destination == u8::MAX {
+            return self.overhears_part(&identifier, frame, start, now);
+        }
         let [function, high, low, length, ..] = *frame.payload();
-        if !starts || identifier.destination == u8::MAX {
+        if !starts {
             return;
         }
         let first = u16::from_be_bytes([high, low]);
@@ -369,6 +422,18 @@ impl Master {
                 && moved % most as u16 == 0
                 && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
         });
+    }
+
+    /// A frame of a broadcast on CAN: the first one tells which, the last one that all of it was sent.
+    fn overhears_part(&mut self, identifier: &Identifier, frame: &Frame, start: Moment, now: Moment) {
+        let whole = matches!(identifier.frame_type, FrameType::Single | FrameType::Last);
+        if matches!(identifier.frame_type, FrameType::Single | FrameType::First) {
+            self.broadcast_head = frame.data().to_vec();
+            self.passes_all(Port::Can, &self.broadcast_head.clone(), whole, start, now);
+        } else if whole {
+            let head = self.broadcast_head.clone();
+            self.passes_all(Port::Can, &head, true, Moment::default(), now);
+        }
     }
 
     /// A frame goes to a device: somebody must have asked for it, and not too long ago.

@@ -91,6 +91,7 @@ pub fn service_returns(seeds: Seeds<u64>) -> Found {
                 manner: Manner::Waits(0),
                 faults: Vec::new(),
                 fault_rate: 0,
+                broadcast_rate: 0,
             };
             let mut run = Run::new(plan, &mut queues);
             let units = [1, 2, 3, 4, 5, 16, 17, 18, 19, 20, 32, 33, 34, 35, BRIDGE];
@@ -157,8 +158,8 @@ pub fn a_dead_device_costs_little(seed: u64, span: Nanos) -> Found {
             let end = run.world.now().after(CYCLE);
             while let Some(notice) = run.world.next(end) {
                 match notice {
-                    Notice::HostHears(byte) => {
-                        let unit = run.master.hear(byte, &run.world);
+                    Notice::HostHears(_) => {
+                        let unit = run.notice(&notice);
                         let index = SENSORS.iter().position(|sensor| Some(*sensor) == unit);
                         if let Some(count) = index.and_then(|index| answers.get_mut(index)) {
                             *count += 1;
@@ -167,7 +168,9 @@ pub fn a_dead_device_costs_little(seed: u64, span: Nanos) -> Found {
                             return answers;
                         }
                     }
-                    notice => run.notice(&notice),
+                    notice => {
+                        run.notice(&notice);
+                    }
                 }
             }
             run.master.forget(run.world.now());
@@ -268,11 +271,10 @@ pub fn polling_is_on_time(seed: u64, span: Nanos) -> Found {
                 run.world.set_alarm(run.world.now().after(7 * MILLIS), ASK);
                 run.master.forget(run.world.now());
             }
-            Notice::HostHears(byte) => {
-                run.master.hear(byte, &run.world);
-            }
             Notice::BridgeHears(frame) if ends_transfer(&frame) => last_frame = run.world.now(),
-            notice => run.notice(&notice),
+            notice => {
+                run.notice(&notice);
+            }
         }
     }
     let slot = run.world.engine().slot(0).copied().unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use super::delay::Delay;
 use super::fault::Fault;
-use super::moment::{Moment, Nanos};
+use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
@@ -189,6 +189,15 @@ impl CanStation {
     pub(super) fn due(&mut self, now: Moment) -> Option<Vec<Frame>> {
         let (_, reply) = self.replies.pop_front()?;
         (now >= self.absent).then_some(reply)
+    }
+}
+
+/// How long the default bridge waits for the reply that starts with this function code.
+pub(super) const fn timeout_of(nst: bool, function: Option<u8>) -> Nanos {
+    match (nst, function) {
+        (true, Some(0x03 | 0x15)) => 50 * MILLIS,
+        (false, Some(1..=4 | 0x81..=0x84)) => 200 * MILLIS,
+        _ => 500 * MILLIS,
     }
 }
 

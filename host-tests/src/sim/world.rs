@@ -89,6 +89,8 @@ enum Event {
 #[derive(Debug, Clone, Copy)]
 enum ToSend {
     Byte(u8),
+    /// A byte whose stop bit is missing.
+    Unframed(u8),
     Pause(Nanos),
 }
 
@@ -144,7 +146,8 @@ impl<'q> World<'q> {
         let bus = |port: Port, devices: Vec<SerialStation>| {
             let config = settings.network.port(port);
             // the bridge, the devices, the intruder
-            let line = Line::new(devices.len() + 2, byte_time(config));
+            let mut line = Line::new(devices.len() + 2, byte_time(config));
+            line.set_noisy(devices.len() + 1);
             Bus {
                 line,
                 devices,
@@ -236,10 +239,16 @@ impl<'q> World<'q> {
         }
         self.host_goes_on();
         let spans = self.to_bridge.iter().map(|item| match item {
-            ToSend::Byte(_) => self.host_byte,
+            ToSend::Byte(_) | ToSend::Unframed(_) => self.host_byte,
             ToSend::Pause(span) => *span,
         });
         self.now.after(spans.sum())
+    }
+
+    /// Has the host send a byte without its stop bit, behind what it has not sent yet.
+    pub fn host_sends_unframed(&mut self, byte: u8) {
+        self.to_bridge.push_back(ToSend::Unframed(byte));
+        self.host_goes_on();
     }
 
     /// Has the host pause behind what it has not sent yet.
@@ -314,7 +323,7 @@ impl<'q> World<'q> {
 
     /// An interrupt: the main loop takes notice a little later.
     fn interrupt(&mut self) {
-        let at = self.now.after(self.settings.latency.draw(&mut self.random));
+        let at = self.now.after(self.settings.latency.draw(0, &mut self.random));
         self.wake(at);
     }
 

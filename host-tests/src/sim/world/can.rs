@@ -4,7 +4,7 @@ use super::{Event, Notice, World};
 use crate::sim::board::CONTROLLER;
 use crate::sim::can_wire::{Ended, Ending};
 use crate::sim::moment::Moment;
-use crate::sim::station;
+use crate::sim::station::{self, timeout_of};
 use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_protocol::can::Frame;
 
@@ -60,10 +60,12 @@ impl World<'_> {
         if reply.is_empty() {
             return;
         }
-        let mut delay = station.delay.draw(&mut self.random);
+        let function = reply.first().and_then(|first| first.payload().first().copied());
+        let timeout = timeout_of(true, function);
+        let mut delay = station.delay.draw(timeout, &mut self.random);
         let mut again = None;
         if let Some(fault) = self.can_armed.pop_front() {
-            delay += station::spoil_frames(fault, &mut reply, 50_000_000, &mut again, &mut self.random);
+            delay += station::spoil_frames(fault, &mut reply, timeout, &mut again, &mut self.random);
         }
         let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
         for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {

@@ -9,7 +9,7 @@ impl World<'_> {
             return;
         }
         match self.to_bridge.front() {
-            Some(ToSend::Byte(_)) => {
+            Some(ToSend::Byte(_) | ToSend::Unframed(_)) => {
                 self.host_sending = true;
                 self.agenda.enter(self.now.after(self.host_byte), Event::ToBridge);
             }
@@ -24,7 +24,11 @@ impl World<'_> {
     }
 
     pub(super) fn end_byte_to_bridge(&mut self) {
-        if let Some(ToSend::Byte(byte)) = self.to_bridge.pop_front() {
+        let sent = self.to_bridge.pop_front();
+        if let Some(ToSend::Unframed(_)) = sent {
+            self.board.on_framing_error(0);
+        }
+        if let Some(ToSend::Byte(byte) | ToSend::Unframed(byte)) = sent {
             self.uarts[0].queues.received(byte, micros(self.now));
             self.interrupt();
         }

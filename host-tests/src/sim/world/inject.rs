@@ -65,6 +65,8 @@ impl World<'_> {
             Fault::LineCut | Fault::LineBreak => {
                 if fault == Fault::LineBreak {
                     self.lines[line].noise.push(0);
+                    let intruder = self.lines[line].devices.len() + 1;
+                    self.lines[line].line.tamper(intruder, 0, Tamper::Framing);
                     self.enter_noise(line, now);
                 }
                 let end = now.after(span);

@@ -2,9 +2,10 @@
 
 use super::{BRIDGE, Event, Notice, World, micros};
 use crate::sim::fault::Fault;
+use crate::sim::line::Tamper;
 use crate::sim::moment::Moment;
 use crate::sim::recorder::Interface;
-use crate::sim::station;
+use crate::sim::station::{self, timeout_of};
 
 impl World<'_> {
     pub(super) fn start_bridge_frame(&mut self, line: usize) {
@@ -55,6 +56,9 @@ impl World<'_> {
                 recorder.bytes(interface, sender == BRIDGE, self.now, &[byte]);
             }
             if sender != BRIDGE || echo {
+                if heard.framing {
+                    self.board.on_framing_error(line + 1);
+                }
                 self.uarts[line + 1].queues.received(byte, micros(self.now));
                 self.interrupt();
             }
@@ -111,9 +115,9 @@ impl World<'_> {
         if reply.is_empty() {
             return;
         }
-        let mut delay = station.delay.draw(&mut self.random);
+        let timeout = timeout_of(line == 0, reply.get(1).copied());
+        let mut delay = station.delay.draw(timeout, &mut self.random);
         let mut again = None;
-        let timeout = if line == 0 { 50_000_000 } else { 200_000_000 };
         // an exception is something that only Modbus has
         let fits = |fault: &Fault| *fault != Fault::ReplyException || line == 1;
         let fault = match bus.armed.front() {
@@ -122,6 +126,9 @@ impl World<'_> {
         };
         if let Some(fault) = fault {
             delay += station::spoil(fault, &mut reply, timeout, &mut again, &mut self.random);
+            if fault == Fault::WrongBaud {
+                bus.line.tamper(device + 1, 0, Tamper::Framing);
+            }
             self.notices.push_back(Notice::Garbled(bus.port));
         }
         if reply.is_empty() {
