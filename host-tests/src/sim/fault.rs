@@ -116,6 +116,8 @@ faults! {
         CanWrongDestination = "can-wrong-destination",
         /// Other nodes talk to each other at length.
         CanForeignTraffic = "can-foreign-traffic",
+        /// A node that was not asked sends frames of all kinds to the bridge.
+        CanForeignFrames = "can-foreign-frames",
         /// A node that was not asked sends transfers to the bridge.
         CanForeignTransfer = "can-foreign-transfer",
         /// Frames in base format.

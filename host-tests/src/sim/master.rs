@@ -37,6 +37,8 @@ pub struct Tally {
     pub unknown: u64,
     /// Copies of broadcasts that buses had to send, and that they have sent.
     pub copies: [u64; 2],
+    /// Broken bursts with a valid command somewhere inside.
+    pub hidden: u64,
     /// Writes and commands that devices carried out.
     pub executed: u64,
     /// Frames of the bridge on RS485, and on CAN.
@@ -70,6 +72,7 @@ impl Tally {
         self.unknown += other.unknown;
         self.copies[0] += other.copies[0];
         self.copies[1] += other.copies[1];
+        self.hidden += other.hidden;
         self.executed += other.executed;
         self.sent[0] += other.sent[0];
         self.sent[1] += other.sent[1];
@@ -141,6 +144,8 @@ pub struct Master {
     incoming: Vec<u8>,
     /// When something on that port was garbled last.
     garbled: HashMap<usize, Moment>,
+    /// Health bits that the bridge told of itself, all together.
+    pub health: u8,
     /// Polling slots read samples as well.
     pub polls: bool,
     /// What was counted.
@@ -161,6 +166,7 @@ impl Master {
             broadcast_head: Vec::new(),
             incoming: Vec::new(),
             garbled: HashMap::new(),
+            health: 0,
             polls: false,
             tally: Tally::default(),
             open: 0,
@@ -321,7 +327,9 @@ impl Master {
             return;
         };
         place.measured = moment.unwrap_or(measured);
-        place.open.remove(index);
+        if let (Question::Health, [_, _, _, bits]) = (place.open.remove(index).question, reply) {
+            self.health |= bits;
+        }
         self.open -= 1;
         // requests of one unit keep their order: those before it got no answer
         place.open.iter_mut().take(index).for_each(|earlier| earlier.overtaken = true);

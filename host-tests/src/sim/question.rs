@@ -25,6 +25,9 @@ const CARD_RATE: u16 = 422;
 /// The bridge's input registers of its first polling slot.
 const SLOT: Range = Range::new(0x0100, 24);
 
+/// The bridge's input register of its health bits.
+const HEALTH: Range = Range::new(0x0009, 1);
+
 /// Function codes that no module knows: those that the host's silence delimits, and three whose length is known.
 pub(super) const UNSUPPORTED: [u8; 6] = [0x41, 0x48, 0x64, 0x08, 0x16, 0x17];
 
@@ -117,6 +120,8 @@ pub enum Question {
     },
     /// The first polling slot as a block.
     Slot,
+    /// The bridge's health bits.
+    Health,
 }
 
 /// How an answer fits a question.
@@ -146,6 +151,7 @@ impl Question {
                 | Self::BoardInputs { .. }
                 | Self::CardRate
                 | Self::Slot
+                | Self::Health
         )
     }
 
@@ -255,6 +261,7 @@ impl Question {
                 data,
             },
             Self::Slot => modbus::Request::ReadInputRegisters(SLOT),
+            Self::Health => modbus::Request::ReadInputRegisters(HEALTH),
             Self::Nowhere => modbus::Request::ReadInputRegisters(Range::new(NOWHERE, 1)),
             Self::Unsupported { function, .. } => {
                 modbus::Request::Other { function: FunctionCode::from_code(function), data }
@@ -310,6 +317,7 @@ impl Question {
                 let [a, b, c, d] = rate.unwrap_or(0).to_be_bytes();
                 right(data == [c, d, a, b])
             }
+            (Self::Health, reply) => right(matches!(reply, [0x04, 2, 0, _])),
             (Self::Slot, [0x04, 48, data @ ..]) => right(is_coherent(data)),
             (Self::Nowhere, reply) => right(reply == [0x84, 2]),
             _ => Fit::Wrong,

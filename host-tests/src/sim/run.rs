@@ -31,6 +31,8 @@ pub enum Manner {
     Waits(u64),
     /// For nothing: requests come one to so many microseconds apart.
     Streams(u64),
+    /// For nothing: a request comes each so many microseconds.
+    Paces(u64),
 }
 
 /// What a run does.
@@ -274,6 +276,7 @@ impl<'q> Run<'q> {
                 self.impatient = at.after(patience * MILLIS);
                 return Some(unit);
             }
+            Manner::Paces(pause) => self.world.set_alarm(at.after(pause * MICROS), NEXT),
             Manner::Streams(longest) => {
                 let pause = self.random.between(1, longest) * MICROS;
                 self.world.set_alarm(at.after(pause), NEXT);
@@ -359,6 +362,11 @@ impl<'q> Run<'q> {
                 let bytes = self.broken(fault, &frame);
                 self.spoilt(&bytes)
             }
+            Fault::HostHiddenCommand | Fault::HostHiddenBehind | Fault::HostStrayBroadcast => {
+                self.master.tally.hidden += 1;
+                let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
+                self.spoilt(&bytes)
+            }
             _ => {
                 let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
                 self.spoilt(&bytes)
@@ -436,7 +444,7 @@ impl<'q> Run<'q> {
 
     /// A write that is wrong, with a command in its data that is right.
     fn hiding(&mut self, behind: bool) -> Vec<u8> {
-        let inner = self.random.pick(&[1, 3, 16, 18, 32, 33, 247]);
+        let inner = self.random.pick(&[1, 3, 16, 18, 31, 32, 33, 40, 247]);
         let mut data: Vec<u8> = (0..self.random.below(8)).map(|_| self.random.byte()).collect();
         data.extend(hidden_command(inner, &mut self.random));
         if self.random.below(2) == 0 && !behind {

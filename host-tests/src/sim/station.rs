@@ -15,7 +15,7 @@ use jointbus_protocol::time::{Duration, Instant};
 use std::collections::VecDeque;
 
 /// Modules of the station.
-pub const MODULES: usize = 4;
+pub const MODULES: usize = 5;
 
 /// Channels of each module.
 pub const LAYOUT: Layout =
@@ -63,6 +63,8 @@ pub struct SerialStation {
     pub delay: Delay,
     /// Without power until then.
     pub absent: Moment,
+    /// The module of a station that does not answer.
+    pub without: Option<usize>,
     /// When it is to be told the time; one entry of the agenda at most.
     pub(super) polled: Option<Moment>,
     replies: VecDeque<(Moment, Vec<u8>)>,
@@ -87,7 +89,7 @@ impl SerialStation {
 
     fn new(device: SerialDevice, delay: Delay) -> Self {
         let (absent, replies) = (Moment::default(), VecDeque::new());
-        Self { device, delay, absent, polled: None, replies, orders_seen: 0 }
+        Self { device, delay, absent, without: None, polled: None, replies, orders_seen: 0 }
     }
 
     fn line(&mut self) -> &mut dyn SerialLine {
@@ -102,10 +104,12 @@ impl SerialStation {
         if now < self.absent {
             return Vec::new();
         }
-        match byte {
+        let reply = match byte {
             Some(byte) => self.line().receive(&[byte], now.instant()),
             None => self.line().poll(now.instant()),
-        }
+        };
+        let dead = self.without.map(|index| index as u8 + 1);
+        if dead.is_some() && reply.first().copied() == dead { Vec::new() } else { reply }
     }
 
     /// When it wants to be told the time.

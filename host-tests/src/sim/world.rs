@@ -29,6 +29,9 @@ const TICK: Nanos = 100 * MICROS;
 /// The bridge's transceiver on an RS485 line; the devices follow, and one intruder.
 const BRIDGE: usize = 0;
 
+/// Bit errors in a row that take a fresh controller to bus-off.
+pub(super) const TO_BUS_OFF: usize = 32;
+
 /// RS485 lines.
 const LINES: usize = 2;
 
@@ -216,6 +219,12 @@ impl<'q> World<'q> {
     #[must_use]
     pub const fn now(&self) -> Moment {
         self.now
+    }
+
+    /// What is simulated.
+    #[must_use]
+    pub const fn settings(&self) -> &Settings {
+        &self.settings
     }
 
     /// The bridge's engine.

@@ -3,6 +3,7 @@
 use super::{Event, Notice, World};
 use crate::sim::board::CONTROLLER;
 use crate::sim::can_wire::{Ended, Ending};
+use crate::sim::fault::Fault;
 use crate::sim::moment::Moment;
 use crate::sim::station::{self, timeout_of};
 use jointbus_mcu_bridge::engine::config::Port;
@@ -64,7 +65,13 @@ impl World<'_> {
         let timeout = timeout_of(true, function);
         let mut delay = station.delay.draw(timeout, &mut self.random);
         let mut again = None;
-        if let Some(fault) = self.can_armed.pop_front() {
+        // these two need a reply of their kind
+        let fits = |fault: &mut Fault| match fault {
+            Fault::CanFramesSwapped => reply.len() > 1,
+            Fault::CanQuirk => function == Some(0x03),
+            _ => true,
+        };
+        if let Some(fault) = self.can_armed.pop_front_if(fits) {
             delay += station::spoil_frames(fault, &mut reply, timeout, &mut again, &mut self.random);
         }
         let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
