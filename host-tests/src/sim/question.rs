@@ -16,6 +16,9 @@ const ANALOG_OUTPUTS: u16 = 0x60;
 /// First digital output of a module, as a coil.
 const COILS: u16 = 0x0200;
 
+/// Length of a long write.
+const LONG_WRITE: u8 = 64;
+
 /// A register that no module has.
 const NOWHERE: u16 = 0x99;
 
@@ -363,7 +366,7 @@ pub struct Questions {
     pub writes: u64,
     /// So many writes to modules in a million have a function code that they do not know.
     pub unsupported: u64,
-    /// Longest reading of a pattern.
+    /// Longest reading of a pattern, and longest write.
     pub longest: u8,
 }
 
@@ -428,7 +431,9 @@ impl Questions {
         match bus {
             Some((_, true)) if write => match self.random.below(8) {
                 0 => Question::Command { set: self.random.chance(500_000) },
-                1 => Question::Write { register: SCRATCH.start, length: 64, token },
+                1 if self.longest >= LONG_WRITE => {
+                    Question::Write { register: SCRATCH.start, length: LONG_WRITE, token }
+                }
                 _ => {
                     let length = self.random.pick(&[4, 4, 8, 18]);
                     let register =
