@@ -391,12 +391,12 @@ impl<'q> Run<'q> {
             let coincidence = (0..=STRAY_MAX).any(|start| {
                 let end_of = |end: usize| bytes.get(start..end).and_then(checksum::verify).is_some();
                 let is_meant = |end: usize| end == bytes.len() && bytes.get(start..) == Some(meant);
-                (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
+                // a broadcast behind stray bytes is right, and not to be taken
+                let broadcast = start > 0 && bytes.get(start).is_some_and(|byte| [0, u8::MAX].contains(byte));
+                !broadcast && (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
             });
-            // a broadcast behind stray bytes is right, and not to be taken
-            let broadcast = bytes.iter().take(STRAY_MAX + 1).any(|byte| [0, u8::MAX].contains(byte));
             // some frames have a right CRC inside, whatever comes before them: their length byte says that it is none
-            if !coincidence || tries > 100 || (broadcast && meant.is_empty() && self.random.chance(200_000)) {
+            if !coincidence || tries > 100 {
                 return bytes;
             }
         }

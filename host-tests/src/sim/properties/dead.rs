@@ -15,7 +15,7 @@ const DEVICES: usize = 5;
 
 /// Time between two requests to the same device, by bus, so that a probe finds room beside them; and how long all live,
 /// and one is dead.
-const FAST: (Nanos, Nanos) = (50 * MILLIS, 100 * SECONDS);
+const FAST: (Nanos, Nanos) = (100 * MILLIS, 200 * SECONDS);
 const SLOW: (Nanos, Nanos) = (500 * MILLIS, 300 * SECONDS);
 
 /// One of five devices on a bus is dead: the others keep 95 % of their rate, and its return is noticed within a probe
