@@ -134,11 +134,13 @@ impl SerialStation {
         newest.filter(|_| new)
     }
 
-    /// Has a reply sent at that moment, or behind those before it.
-    pub(super) fn queue(&mut self, at: Moment, reply: Vec<u8>) -> Moment {
+    /// Has a reply sent at that moment, or behind those before it; not at all if that is later than `latest`.
+    pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<u8>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
-        self.replies.push_back((at, reply));
-        at
+        (at <= latest).then(|| {
+            self.replies.push_back((at, reply));
+            at
+        })
     }
 
     /// The reply that is due; none from a device that lost its power meanwhile.
@@ -184,10 +186,12 @@ impl CanStation {
         orders.newest().filter(|_| new).map(|(_, order)| (node, *order))
     }
 
-    pub(super) fn queue(&mut self, at: Moment, reply: Vec<Frame>) -> Moment {
+    pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<Frame>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
-        self.replies.push_back((at, reply));
-        at
+        (at <= latest).then(|| {
+            self.replies.push_back((at, reply));
+            at
+        })
     }
 
     pub(super) fn due(&mut self, now: Moment) -> Option<Vec<Frame>> {
@@ -239,7 +243,7 @@ pub(super) fn spoil(
         }
         Fault::ReplyOtherFunction => {
             reply[1] = random.pick(
-                &[0x03, 0x04, 0x06, 0x10, 0x12, 0x19, 0x41].map(|other| other + u8::from(other == reply[1])),
+                &[0x03, 0x04, 0x06, 0x10, 0x12, 0x19, 0x55].map(|other| other + u8::from(other == reply[1])),
             );
             reseal(reply);
         }

@@ -74,10 +74,13 @@ impl World<'_> {
         if let Some(fault) = self.can_armed.pop_front_if(fits) {
             delay += station::spoil_frames(fault, &mut reply, timeout, &mut again, &mut self.random);
         }
+        // nobody could tell a reply that is later than this from the next one
+        let latest = self.now.after(3 * timeout);
         let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
         for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
-            let at = station.queue(at, reply);
-            self.agenda.enter(at, Event::NodeReply { node });
+            if let Some(at) = station.queue(at, latest, reply) {
+                self.agenda.enter(at, Event::NodeReply { node });
+            }
         }
     }
 

@@ -134,10 +134,13 @@ impl World<'_> {
         if reply.is_empty() {
             return;
         }
+        // nobody could tell a reply that is later than this from the next one
+        let latest = self.now.after(3 * timeout);
         let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
         for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
-            let at = station.queue(at, reply);
-            self.agenda.enter(at, Event::DeviceReply { line, device });
+            if let Some(at) = station.queue(at, latest, reply) {
+                self.agenda.enter(at, Event::DeviceReply { line, device });
+            }
         }
     }
 }
