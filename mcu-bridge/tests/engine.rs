@@ -223,6 +223,23 @@ fn a_reply_half_received_when_a_hold_off_ends_is_not_lost() {
 }
 
 #[test]
+fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    // parts of 126 and 24 bytes; the first one is asked for twice
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
+    assert_eq!(world.held_back.take().unwrap().len(), 2);
+    world.held_back = Some(Vec::new());
+    // the first part of the next one would take it, the whole of another one would not
+    for (length, goes_out) in [(200, false), (24, true)] {
+        let sent = world.engine.counters(Port::Can).sent;
+        assert_eq!(world.nst(1, &[0x03, 0, 0, length], Duration::from_millis(1)), []);
+        let went_out = world.engine.counters(Port::Can).sent > sent;
+        assert_eq!(went_out, goes_out, "{length} bytes");
+    }
+}
+
+#[test]
 fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     // on the serial line, which babbles until the time to live has passed
     let mut world = World::new();

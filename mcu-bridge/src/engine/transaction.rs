@@ -8,7 +8,7 @@ use super::quarantine::{Admission, Quarantine};
 use heapless::Vec;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
-use jointbus_protocol::nst;
+use jointbus_protocol::nst::{self, can};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// The reply that fits a request.
@@ -43,6 +43,16 @@ impl Expected {
             (Self::Nst(owed), Self::Nst(asked)) => owed == asked,
             _ => false,
         }
+    }
+
+    /// Whether it could be taken for the reply to a part of a request that CAN splits.
+    fn could_answer_part(&self, request: &Self) -> bool {
+        let (Self::Nst(owed), Self::Nst(asked)) = (self, request) else { return false };
+        let longest = if asked.function().is_read() { can::READ_MAX } else { can::WRITE_MAX };
+        let (owed_length, length) = (usize::from(owed.length()), usize::from(asked.length()));
+        owed.address() == asked.address()
+            && owed.function() == asked.function()
+            && (owed_length == longest.min(length) || length.checked_rem(longest) == Some(owed_length))
     }
 
     pub(super) fn lengths(&self) -> [usize; 2] {
@@ -95,6 +105,8 @@ pub(super) struct Request {
     pub(super) hold_off: Duration,
     /// How often it may be sent again.
     pub(super) retries: u8,
+    /// Whether what is too long goes in parts.
+    pub(super) is_split: bool,
     /// When it is no longer to be sent.
     pub(super) expires: Instant,
     /// On a serial bus the whole frame, on CAN the body.
@@ -120,6 +132,7 @@ impl Request {
             timeout: route.timeout(is_read),
             hold_off: route.hold_off(is_read),
             retries: if is_read { route.read_retries } else { 0 },
+            is_split: route.bus == Bus::Can,
             expires: now.after(Duration::from_millis(route.time_to_live_ms.into())),
             content: Vec::from_slice(content).ok()?,
         })
@@ -339,7 +352,11 @@ impl OwedReplies {
     /// Whether a request would have to wait for one.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         request.expected.is_some_and(|asked| {
-            self.0.iter().any(|owed| now < owed.until && owed.expected.could_answer(&asked))
+            let could_answer = |owed: &Expected| match request.is_split {
+                true => owed.could_answer_part(&asked),
+                false => owed.could_answer(&asked),
+            };
+            self.0.iter().any(|owed| now < owed.until && could_answer(&owed.expected))
         })
     }
 
