@@ -125,6 +125,8 @@ struct Unit {
     open: Vec<Asked>,
     /// Exceptions that name nothing but the function code: how many of each that still stand for an open request.
     exceptions: HashMap<u8, usize>,
+    /// Answers right by coincidence, which leave a request of Modbus without an answer.
+    coincidences: usize,
     /// When the newest answer was measured.
     measured: Instant,
 
@@ -316,8 +318,9 @@ impl Master {
             let port = self.network.route(unit).map_or(0, |(_, route)| port_of(route));
             let garbled = self.garbled.get(&port).is_some_and(|at| now.since(*at) < 1000 * MILLIS);
             // a device never says such a thing by itself
-            if garbled && !is_genuine(remote, reply) {
+            if garbled && !is_genuine(world, remote, reply) {
                 self.tally.coincidences += 1;
+                place.coincidences += 1;
             } else {
                 let open: Vec<_> = place.open.iter().map(|asked| asked.question).collect();
                 self.tally.violation(now, || {
@@ -369,12 +372,16 @@ impl Master {
                 self.tally.silent += (before - place.open.len()) as u64;
             } else {
                 // Modbus is always answered
-                let (tally, exceptions) = (&mut self.tally, &mut place.exceptions);
+                let (tally, exceptions, coincidences) =
+                    (&mut self.tally, &mut place.exceptions, &mut place.coincidences);
                 place.open.retain(|asked| {
                     let keep = now <= asked.over;
                     let excused = exceptions.get_mut(&asked.body[0]).filter(|count| **count > 0);
                     if let Some(count) = excused.filter(|_| !keep) {
                         *count -= 1;
+                    } else if !keep && *coincidences > 0 {
+                        *coincidences -= 1;
+                        tally.silent += 1;
                     } else if !keep {
                         tally.violation(now, || {
                             format!("unit {unit} left {:?} without an answer", asked.question)
@@ -570,8 +577,19 @@ fn told_inputs(
 }
 
 /// Whether a reply is one that this device gives to some question of ours.
-fn is_genuine(remote: u8, reply: &[u8]) -> bool {
+fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
     match reply {
+        [0x04, _, data @ ..] => {
+            let Some(SerialDevice::Station(station)) = world.lines[1].devices.first().map(|it| &it.device)
+            else {
+                return true;
+            };
+            let mut told = station.told().between(Instant::from_micros(0), world.now().instant());
+            told.any(|(_, inputs)| {
+                let values: Vec<u8> = inputs.analog.iter().flat_map(|value| value.to_be_bytes()).collect();
+                inputs.unit == remote && values.windows(data.len().max(1)).any(|part| part == data)
+            })
+        }
         [0x03, count, data @ ..] => {
             let sample = matches!(Question::Sample { length: *count }.fit(remote, reply), Fit::At(_));
             let pattern = super::station::PATTERN.clone().any(|register| {

@@ -366,6 +366,8 @@ pub struct Questions {
     pub writes: u64,
     /// So many writes to modules in a million have a function code that they do not know.
     pub unsupported: u64,
+    /// Length of the shortest reading of the axes.
+    pub shortest_sample: u8,
     /// Longest reading of a pattern, and longest write.
     pub longest: u8,
 }
@@ -392,6 +394,7 @@ impl Questions {
             units,
             writes: 300_000,
             unsupported: 100_000,
+            shortest_sample: SAMPLE_LENGTH as u8,
             longest: 200,
         }
     }
@@ -407,12 +410,20 @@ impl Questions {
         (unit, self.for_unit(network, unit))
     }
 
+    /// A number of which no half is 0, which an order without a number has.
+    const fn next_token(&mut self) -> u32 {
+        self.token = self.token.wrapping_add(0x1_0001);
+        if self.token as u16 == 0 || self.token >> 16 == 0 {
+            self.token = self.token.wrapping_add(0x1_0001);
+        }
+        self.token
+    }
+
     /// A write to all modules, as unit 0, or to all sensors, as unit 255.
     pub(super) fn broadcast(&mut self) -> (u8, Question) {
-        self.token = self.token.wrapping_add(0x1_0001);
-        let token = self.token;
+        let token = self.next_token();
         match self.random.below(3) {
-            0 => (0, Question::SetOne { channel: self.random.below(16) as u8, token: (token as u16).max(1) }),
+            0 => (0, Question::SetOne { channel: self.random.below(16) as u8, token: token as u16 }),
             1 => (0, Question::SetTwo { channel: self.random.below(15) as u8, token }),
             _ => {
                 let length = self.random.pick(&[4, 8, 18]);
@@ -423,9 +434,8 @@ impl Questions {
 
     /// A question to this unit.
     pub fn for_unit(&mut self, network: &Network, unit: u8) -> Question {
-        self.token = self.token.wrapping_add(0x1_0001);
-        let token = self.token;
-        let short = (token as u16).max(1);
+        let token = self.next_token();
+        let short = token as u16;
         let bus = network.route(unit).map(|(_, route)| (route.bus, route.protocol.is_nst()));
         let write = self.random.chance(self.writes);
         match bus {
@@ -442,7 +452,7 @@ impl Questions {
                 }
             },
             Some((_, true)) => match self.random.below(3) {
-                0 => Question::Sample { length: SAMPLE_LENGTH as u8 + self.random.below(16) as u8 },
+                0 => Question::Sample { length: self.shortest_sample + self.random.below(16) as u8 },
                 _ => {
                     let length = match self.random.below(16) {
                         0 => self.random.between(19, self.longest.max(19).into()) as u8,

@@ -12,6 +12,7 @@ use jointbus_mcu_bridge::engine::Slot;
 use jointbus_mcu_bridge::io::serial::Queues;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::modbus::{self, Range, rtu};
+use jointbus_protocol::nst::SAMPLE_LENGTH;
 use jointbus_protocol::nst::can::{FrameType, Identifier};
 use std::collections::VecDeque;
 use std::panic::resume_unwind;
@@ -125,6 +126,8 @@ impl<'q> Course<'q> {
         run.master.polls = true;
         // what takes one transfer, and less than half a period
         run.questions.longest = 19;
+        // what the bridge itself reads
+        run.questions.shortest_sample = SAMPLE_LENGTH as u8 + 1;
         Self { run, begun: Moment::default(), sequence: 0, ends: VecDeque::new(), compared: 0 }
     }
 
