@@ -100,13 +100,13 @@ fn settings(number: u16) -> Settings {
     settings
 }
 
-/// Saves, cuts the power so many times at a random moment of that, and finds the former or the new settings.
-fn cut_the_power(cuts_wanted: u32) {
+#[test]
+fn a_thousand_power_cuts_lose_and_mix_nothing() {
     let (mut bytes, mut noise) = ([0xFF; SIZE], 1);
     assert_eq!(on(&mut bytes, &mut noise, 0, |store| store.load()), Ok(None));
     on(&mut bytes, &mut noise, u32::MAX, |store| store.save(&settings(0).encode())).unwrap();
     let (mut last, mut cuts, mut number) = (0, 0, 0u16);
-    while cuts < cuts_wanted {
+    while cuts < 1000 {
         number = number.wrapping_add(1);
         // a save writes some 120 words, more where a sector is begun
         let steps = random(&mut noise) as u32 % 260;
@@ -123,18 +123,6 @@ fn cut_the_power(cuts_wanted: u32) {
         };
         last = now;
     }
-}
-
-#[test]
-fn a_thousand_power_cuts_lose_and_mix_nothing() {
-    cut_the_power(1000);
-}
-
-/// For the long test: `cargo xtask soak`.
-#[test]
-#[ignore = "takes minutes; the same with a thousand is part of every run"]
-fn a_million_power_cuts_lose_and_mix_nothing() {
-    cut_the_power(1_000_000);
 }
 
 #[test]

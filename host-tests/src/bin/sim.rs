@@ -26,6 +26,9 @@ enum Command {
         /// Only this kind of fault; can be given more than once
         #[arg(long, value_name = "KIND", value_parser = kind)]
         kind: Vec<Fault>,
+        /// Mostly broken bursts with a command inside
+        #[arg(long)]
+        hiding: bool,
         /// How many requests the host sends
         #[arg(long, default_value_t = 1000)]
         requests: u64,
@@ -63,7 +66,10 @@ fn kind(name: &str) -> Result<Fault, String> {
 
 fn main() -> Result<()> {
     match Arguments::parse().command {
-        Command::Run { seed, kind, requests, pcap } => run(seed, &kind, requests, pcap),
+        Command::Run { seed, hiding: true, requests, pcap, .. } => run(Plan::hiding(seed, requests), pcap),
+        Command::Run { seed, kind, requests, pcap, .. } => {
+            run(Plan::of_seed(seed, requests, (!kind.is_empty()).then_some(&kind)), pcap)
+        }
         Command::Soak { seed, seeds } => soak(seed, seeds),
         Command::Alone { seed, kind } => alone(kind, seed),
         Command::Table => {
@@ -79,9 +85,11 @@ fn main() -> Result<()> {
     }
 }
 
-fn run(seed: u64, kinds: &[Fault], requests: u64, pcap: Option<PathBuf>) -> Result<()> {
-    let plan = Plan::of_seed(seed, requests, (!kinds.is_empty()).then_some(kinds));
-    println!("seed {seed}: {:?}, faults before {} of a million requests", plan.manner, plan.fault_rate);
+fn run(plan: Plan, pcap: Option<PathBuf>) -> Result<()> {
+    println!(
+        "seed {}: {:?}, faults before {} of a million requests",
+        plan.settings.seed, plan.manner, plan.fault_rate
+    );
     let mut queues = [Queues::new(), Queues::new(), Queues::new()];
     let mut run = Run::new(plan, &mut queues);
     if pcap.is_some() {
@@ -131,14 +139,14 @@ fn soak(seed: u64, seeds: u64) -> Result<()> {
     let found = properties::answers(seed..seed + 2 * seeds);
     tell(started, "no wrong answer, all counted, nothing late, nothing twice", &found);
     let started = Instant::now();
-    let found = properties::hidden_commands(seed..seed + 10 * seeds);
+    let found = properties::hidden_commands(seed..seed + 2 * seeds);
     tell(started, "no bytes inside a frame are executed", &found);
     let started = Instant::now();
-    let [counters, service] = properties::each_fault_alone(seed..seed + seeds.div_ceil(8));
+    let [counters, service] = properties::each_fault_alone(seed..seed + seeds.div_ceil(4));
     tell(started, "each kind of fault raises its counters and no others", &counters);
     tell(started, "the service returns within the bound of each kind of fault", &service);
     let started = Instant::now();
-    let found = properties::dead_devices(seed..seed + seeds.div_ceil(8));
+    let found = properties::dead_devices(seed..seed + seeds.div_ceil(10));
     tell(started, "a dead device costs the others little", &found);
     let started = Instant::now();
     let span = (4 * seeds * SECONDS).min(3600 * SECONDS);

@@ -82,6 +82,20 @@ impl Plan {
         Self { settings, requests, manner, faults, fault_rate, broadcast_rate: 20_000 }
     }
 
+    /// The plan of a seed in which most bursts of the host are broken frames with a valid command in their data, or
+    /// broadcasts behind stray bytes.
+    #[must_use]
+    pub fn hiding(seed: u64, requests: u64) -> Self {
+        const HIDING: [Fault; 5] = [
+            Fault::HostHiddenCommand,
+            Fault::HostHiddenCommand,
+            Fault::HostHiddenBehind,
+            Fault::HostHiddenBehind,
+            Fault::HostStrayBroadcast,
+        ];
+        Self { fault_rate: 900_000, ..Self::of_seed(seed, requests, Some(&HIDING)) }
+    }
+
     /// Carries the plan out.
     #[must_use]
     pub fn run(self) -> Tally {

@@ -1,7 +1,6 @@
 //! Who gets which answer, and what reaches the devices.
 
 use super::{Found, REQUESTS, of_seeds};
-use crate::sim::fault::Fault;
 use crate::sim::master::Tally;
 use crate::sim::run::Plan;
 use std::ops::Range;
@@ -14,24 +13,11 @@ pub fn answers(seeds: Range<u64>) -> Found {
     found
 }
 
-/// Kinds of fault with bytes in which there is no request that is to be carried out, but something that looks like one.
-const HIDING: [Fault; 5] = [
-    Fault::HostHiddenCommand,
-    Fault::HostHiddenCommand,
-    Fault::HostHiddenBehind,
-    Fault::HostHiddenBehind,
-    Fault::HostStrayBroadcast,
-];
-
 /// The same where most bursts of the host are broken frames with a valid command in their data: none is carried out, and
 /// none answered.
 #[must_use]
 pub fn hidden_commands(seeds: Range<u64>) -> Found {
-    let [found] = of_seeds(seeds, |seed| {
-        let mut plan = Plan::of_seed(seed, REQUESTS, Some(&HIDING));
-        plan.fault_rate = 900_000;
-        [of(seed, &plan.run(), " --hiding")]
-    });
+    let [found] = of_seeds(seeds, |seed| [of(seed, &Plan::hiding(seed, REQUESTS).run(), " --hiding")]);
     found
 }
 
