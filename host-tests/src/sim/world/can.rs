@@ -66,12 +66,16 @@ impl World<'_> {
         let mut delay = station.delay.draw(timeout, &mut self.random);
         let mut again = None;
         // these two need a reply of their kind
-        let fits = |fault: &mut Fault| match fault {
+        let fits = |fault: Fault| match fault {
             Fault::CanFramesSwapped => reply.len() > 1,
             Fault::CanQuirk => function == Some(0x03),
             _ => true,
         };
-        if let Some(fault) = self.can_armed.pop_front_if(fits) {
+        let fault = match self.can_armed.front() {
+            Some(fault) if fits(*fault) => self.can_armed.pop_front(),
+            _ => None,
+        };
+        if let Some(fault) = fault {
             delay += station::spoil_frames(fault, &mut reply, timeout, &mut again, &mut self.random);
         }
         // nobody could tell a reply that is later than this from the next one
