@@ -1,6 +1,6 @@
 //! A short look at everything that `cargo xtask soak` shows at length.
 
-use jointbus_host_tests::sim::properties::{self, Found};
+use jointbus_host_tests::sim::properties::{self, Found, Traffic};
 use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS};
 use jointbus_mcu_bridge::io::serial::Queues;
 
@@ -11,22 +11,45 @@ fn holds(found: &Found) {
 
 #[test]
 fn no_answer_is_wrong_and_every_request_is_accounted_for() {
-    holds(&properties::answers(1..21));
+    holds(&properties::answers(1..41));
 }
 
 #[test]
-fn the_service_returns_after_each_kind_of_fault() {
-    holds(&properties::service_returns(1..2));
+fn no_bytes_inside_a_frame_are_executed() {
+    holds(&properties::hidden_commands(1..6));
+}
+
+#[test]
+fn each_kind_of_fault_raises_its_counters_and_no_others() {
+    let [counters, _] = properties::each_fault_alone(1..3);
+    holds(&counters);
+}
+
+#[test]
+fn the_service_returns_within_the_bound_of_each_kind_of_fault() {
+    let [_, service] = properties::each_fault_alone(3..5);
+    holds(&service);
+}
+
+#[test]
+fn the_page_on_faults_is_the_table_in_the_code() {
+    let page = include_str!("../FAULTS.md");
+    assert!(page == Fault::table(), "`cargo xtask sim --table` prints what host-tests/FAULTS.md has to be");
 }
 
 #[test]
 fn a_dead_device_costs_the_others_little() {
-    holds(&properties::a_dead_device_costs_little(1, 10 * SECONDS));
+    holds(&properties::dead_devices(1..4));
 }
 
 #[test]
-fn polling_is_on_time() {
-    holds(&properties::polling_is_on_time(1, 3 * SECONDS));
+fn polling_beside_the_host_misses_nothing() {
+    holds(&properties::polling_is_on_time(1, 3 * SECONDS, Traffic::Calm));
+}
+
+#[test]
+fn polling_under_faults_counts_every_period() {
+    holds(&properties::polling_is_on_time(1, 6 * SECONDS, Traffic::Rough));
 }
 
 #[test]

@@ -261,6 +261,11 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
         self.delivered = false;
     }
 
+    /// Tries all positions anew and keeps the bytes: to be called when the kinds that are waited for have changed.
+    pub const fn start_over(&mut self) {
+        self.next = [0; L];
+    }
+
     /// Whether bytes came in that belong to no reply so far.
     #[must_use]
     pub const fn has_leftovers(&self) -> bool {
@@ -474,6 +479,24 @@ mod tests {
             assert_eq!(frame.len(), self.lengths()[kind]);
             frame[0] == 7 && Toy.is_valid(frame)
         }
+    }
+
+    #[test]
+    fn a_reply_that_was_begun_is_found_though_the_kinds_change() {
+        /// First waits for a reply of three bytes, then in the same place for one of six.
+        struct One(usize);
+        impl Expectation<1> for One {
+            fn lengths(&self) -> [usize; 1] {
+                [self.0]
+            }
+            fn accepts(&self, _: usize, frame: &[u8]) -> bool {
+                frame[0] == 7 && frame.len() == 6
+            }
+        }
+        let mut search = ReplySearch::<16, 1>::default();
+        assert_eq!(search.feed(&One(3), &mut &[7, 1, 1, 1][..]), None);
+        search.start_over();
+        assert_eq!(search.feed(&One(6), &mut &[1, 11][..]), Some((0, &[7, 1, 1, 1, 1, 11][..])));
     }
 
     #[test]

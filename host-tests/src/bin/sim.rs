@@ -2,9 +2,11 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
-use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, properties};
+use jointbus_host_tests::sim::properties::{self, Found};
+use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, Trial};
 use jointbus_mcu_bridge::io::serial::Queues;
 use std::path::PathBuf;
+use std::time::Instant;
 
 /// A bridge, its host and its devices in virtual time, with faults.
 #[derive(Parser)]
@@ -24,6 +26,9 @@ enum Command {
         /// Only this kind of fault; can be given more than once
         #[arg(long, value_name = "KIND", value_parser = kind)]
         kind: Vec<Fault>,
+        /// Mostly broken bursts with a command inside
+        #[arg(long)]
+        hiding: bool,
         /// How many requests the host sends
         #[arg(long, default_value_t = 1000)]
         requests: u64,
@@ -40,6 +45,17 @@ enum Command {
         #[arg(long, default_value_t = 1100)]
         seeds: u64,
     },
+    /// Inject one fault into clean traffic
+    Alone {
+        /// Everything random follows from it
+        #[arg(long)]
+        seed: u64,
+        /// The fault
+        #[arg(long, value_name = "KIND", value_parser = kind)]
+        kind: Fault,
+    },
+    /// Print the table of the kinds of fault
+    Table,
     /// List the kinds of fault
     Kinds,
 }
@@ -50,8 +66,16 @@ fn kind(name: &str) -> Result<Fault, String> {
 
 fn main() -> Result<()> {
     match Arguments::parse().command {
-        Command::Run { seed, kind, requests, pcap } => run(seed, &kind, requests, pcap),
+        Command::Run { seed, hiding: true, requests, pcap, .. } => run(Plan::hiding(seed, requests), pcap),
+        Command::Run { seed, kind, requests, pcap, .. } => {
+            run(Plan::of_seed(seed, requests, (!kind.is_empty()).then_some(&kind)), pcap)
+        }
         Command::Soak { seed, seeds } => soak(seed, seeds),
+        Command::Alone { seed, kind } => alone(kind, seed),
+        Command::Table => {
+            print!("{}", Fault::table());
+            Ok(())
+        }
         Command::Kinds => {
             for fault in Fault::ALL {
                 println!("{:<24}{}", fault.name(), fault.about());
@@ -61,15 +85,17 @@ fn main() -> Result<()> {
     }
 }
 
-fn run(seed: u64, kinds: &[Fault], requests: u64, pcap: Option<PathBuf>) -> Result<()> {
-    let plan = Plan::of_seed(seed, requests, (!kinds.is_empty()).then_some(kinds));
-    println!("seed {seed}: {:?}, faults before {} of a million requests", plan.manner, plan.fault_rate);
+fn run(plan: Plan, pcap: Option<PathBuf>) -> Result<()> {
+    println!(
+        "seed {}: {:?}, faults before {} of a million requests",
+        plan.settings.seed, plan.manner, plan.fault_rate
+    );
     let mut queues = [Queues::new(), Queues::new(), Queues::new()];
     let mut run = Run::new(plan, &mut queues);
     if pcap.is_some() {
         run.world.record();
     }
-    let started = std::time::Instant::now();
+    let started = Instant::now();
     run.to_the_end();
     let tally = &run.master.tally;
     println!("{tally:#?}");
@@ -89,32 +115,44 @@ fn run(seed: u64, kinds: &[Fault], requests: u64, pcap: Option<PathBuf>) -> Resu
     Ok(())
 }
 
+/// One fault alone.
+fn alone(fault: Fault, seed: u64) -> Result<()> {
+    let trial = Trial::of(fault, seed);
+    println!("{trial:#?}");
+    let wrong = trial.raised.len() + trial.service.len();
+    if wrong > 0 {
+        bail!("{wrong} times what must not happen");
+    }
+    Ok(())
+}
+
 /// Every property, one after the other; fails if one does not hold.
 fn soak(seed: u64, seeds: u64) -> Result<()> {
-    type Property<'a> = (&'a str, &'a dyn Fn() -> properties::Found);
-    let all: [Property<'_>; 4] = [
-        ("no wrong answer, all counted, nothing late, nothing twice, nothing hidden", &|| {
-            properties::answers(seed..seed + seeds)
-        }),
-        ("the service returns after each kind of fault", &|| {
-            properties::service_returns(seed..seed + seeds.div_ceil(20))
-        }),
-        ("a dead device costs the others little", &|| {
-            properties::a_dead_device_costs_little(seed, (seeds * SECONDS).min(600 * SECONDS))
-        }),
-        ("polling with 1000 Hz is on time", &|| {
-            properties::polling_is_on_time(seed, (4 * seeds * SECONDS).min(3600 * SECONDS))
-        }),
-    ];
     let mut violated = 0;
-    for (name, property) in all {
-        let started = std::time::Instant::now();
-        let found = property();
+    let mut tell = |started: Instant, name: &str, found: &Found| {
         violated += found.violated;
         println!("{name}: {} violations in {:.1} s", found.violated, started.elapsed().as_secs_f64());
-        println!("    {}", found.counted);
+        println!("    {found}");
         found.violations.iter().for_each(|violation| println!("    {violation}"));
-    }
+    };
+    let started = Instant::now();
+    let found = properties::answers(seed..seed + 2 * seeds);
+    tell(started, "no wrong answer, all counted, nothing late, nothing twice", &found);
+    let started = Instant::now();
+    let found = properties::hidden_commands(seed..seed + 2 * seeds);
+    tell(started, "no bytes inside a frame are executed", &found);
+    let started = Instant::now();
+    let [counters, service] = properties::each_fault_alone(seed..seed + seeds.div_ceil(4));
+    tell(started, "each kind of fault raises its counters and no others", &counters);
+    tell(started, "the service returns within the bound of each kind of fault", &service);
+    let started = Instant::now();
+    let found = properties::dead_devices(seed..seed + seeds.div_ceil(10));
+    tell(started, "a dead device costs the others little", &found);
+    let started = Instant::now();
+    let span = (4 * seeds * SECONDS).min(3600 * SECONDS);
+    let [calm, rough] = properties::polling_both(seed, span);
+    tell(started, "polling with 1000 Hz misses nothing", &calm);
+    tell(started, "polling with 1000 Hz counts what faults make it miss", &rough);
     if violated > 0 {
         bail!("{violated} violations");
     }

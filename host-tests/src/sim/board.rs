@@ -21,6 +21,9 @@ const MAILBOXES: usize = 3;
 /// Frames that wait between the CAN interrupt and the main loop, as the firmware has them.
 const CAN_INCOMING: usize = 32;
 
+/// What is at the board's own analog inputs.
+pub(super) const INPUTS: [u16; 4] = [0x1357, 0x2468, 0x0F1E, 0x7A8B];
+
 /// Serial ports, in the order of their queues.
 pub(super) const SERIAL: [Port; 3] = [Port::Host, Port::Rs485A, Port::Rs485B];
 
@@ -30,6 +33,8 @@ pub(super) struct Board<'q> {
     queues: [MainSide<'q>; 3],
     frames: VecDeque<(Frame, u32)>,
     sent: u32,
+    /// Characters without their stop bit at each serial port.
+    framing_errors: [u32; 3],
     transmit_errors: u32,
     receive_errors: u32,
     overrun: bool,
@@ -61,7 +66,7 @@ impl<'q> Board<'q> {
     ) -> (Self, [Uart<'q>; 3]) {
         let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(settings.network, settings.limits, identity, now);
-        engine.set_inputs(0, [0; 4]);
+        engine.set_inputs(0, INPUTS);
         let [host, first, second] = queues;
         let ((host_in, host), (first_in, first), (second_in, second)) =
             (host.split(), first.split(), second.split());
@@ -70,6 +75,7 @@ impl<'q> Board<'q> {
             queues: [host, first, second],
             frames: VecDeque::with_capacity(CAN_INCOMING),
             sent: 0,
+            framing_errors: [0; 3],
             transmit_errors: 0,
             receive_errors: 0,
             overrun: false,
@@ -82,6 +88,11 @@ impl<'q> Board<'q> {
     /// A frame of the bridge was acknowledged.
     pub(super) const fn on_sent(&mut self) {
         self.sent += 1;
+    }
+
+    /// A character came to a serial port without its stop bit.
+    pub(super) const fn on_framing_error(&mut self, port: usize) {
+        self.framing_errors[port] += 1;
     }
 
     /// A frame failed, its own or another's.
@@ -108,7 +119,10 @@ impl<'q> Board<'q> {
     pub(super) fn turn(&mut self, moment: Moment, wire: &mut CanWire) -> Handed {
         let now = moment.instant();
         let mut handed = Handed::default();
-        for (queues, port) in self.queues.iter_mut().zip(SERIAL) {
+        for ((queues, port), errors) in
+            self.queues.iter_mut().zip(SERIAL).zip(std::mem::take(&mut self.framing_errors))
+        {
+            (0..errors).for_each(|_| self.engine.receive_error(port));
             queues.carry_in(&mut self.engine, port, now);
         }
         self.carry_can_in(now);

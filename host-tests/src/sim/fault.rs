@@ -116,6 +116,8 @@ faults! {
         CanWrongDestination = "can-wrong-destination",
         /// Other nodes talk to each other at length.
         CanForeignTraffic = "can-foreign-traffic",
+        /// A node that was not asked sends frames of all kinds to the bridge.
+        CanForeignFrames = "can-foreign-frames",
         /// A node that was not asked sends transfers to the bridge.
         CanForeignTransfer = "can-foreign-transfer",
         /// Frames in base format.
@@ -148,6 +150,8 @@ faults! {
         HostWrongCrc = "host-wrong-crc",
         /// A request with one to three wrong bits.
         HostBits = "host-bits",
+        /// A character of a request without its stop bit, and wrong.
+        HostFraming = "host-framing",
         /// A request to a unit that no route serves.
         HostUnknownUnit = "host-unknown-unit",
         /// A request with a function code that is in no table.

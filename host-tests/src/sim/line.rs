@@ -16,7 +16,12 @@ pub enum Tamper {
     Lose,
     /// It is heard twice.
     Double,
+    /// Its stop bit is missing, and the UART says so.
+    Framing,
 }
+
+/// A random byte lacks its stop bit so often in a million.
+const NO_STOP_BIT: u64 = 300_000;
 
 /// One transceiver.
 #[derive(Debug, Default)]
@@ -30,6 +35,8 @@ struct Transceiver {
     held: Moment,
     /// Not heard until then: its driver is not on yet.
     mute: Moment,
+    /// Sends nothing but noise: a UART finds stop bits missing.
+    noisy: bool,
     /// Bytes of the present frame before the one on the wire.
     index: usize,
     /// What happens to which byte of the next frames.
@@ -45,6 +52,8 @@ pub struct Heard {
     pub twice: bool,
     /// Whether it is the one that was sent.
     pub genuine: bool,
+    /// Whether its stop bit is missing.
+    pub framing: bool,
 }
 
 /// An RS485 line.
@@ -79,6 +88,11 @@ impl Line {
     #[must_use]
     pub fn is_sending(&self, sender: Sender) -> bool {
         self.transceivers[sender].current.is_some()
+    }
+
+    /// Has what a transceiver sends be noise.
+    pub fn set_noisy(&mut self, sender: Sender) {
+        self.transceivers[sender].noisy = true;
     }
 
     /// Lets nobody hear anything that starts from `start` to `end`.
@@ -126,7 +140,8 @@ impl Line {
         let cut = self.cut.0 <= started && started < self.cut.1;
         let transceiver = &mut self.transceivers[sender];
         let Some(sent) = transceiver.current.take() else { return (Heard::default(), None) };
-        let mut heard = Heard { byte: Some(sent), twice: false, genuine: true };
+        let framing = transceiver.noisy && random.chance(NO_STOP_BIT);
+        let mut heard = Heard { byte: Some(sent), twice: false, genuine: true, framing };
         let tamper = transceiver
             .tampers
             .front()
@@ -139,11 +154,13 @@ impl Line {
                 Tamper::Flip(bits) => heard.byte = Some(sent ^ bits),
                 Tamper::Lose => heard.byte = None,
                 Tamper::Double => heard.twice = true,
+                Tamper::Framing => heard.framing = true,
             }
         }
         if transceiver.garbled {
             // two drivers against each other: anybody's guess
-            heard = Heard { byte: Some(random.byte()), twice: false, genuine: false };
+            let framing = random.chance(NO_STOP_BIT);
+            heard = Heard { byte: Some(random.byte()), twice: false, genuine: false, framing };
         }
         if started < transceiver.mute || cut {
             heard = Heard::default();

@@ -35,6 +35,10 @@ pub struct Tally {
     pub silent: u64,
     /// Requests to units that no route serves.
     pub unknown: u64,
+    /// Copies of broadcasts that buses had to send, and that they have sent.
+    pub copies: [u64; 2],
+    /// Broken bursts with a valid command somewhere inside.
+    pub hidden: u64,
     /// Writes and commands that devices carried out.
     pub executed: u64,
     /// Frames of the bridge on RS485, and on CAN.
@@ -66,6 +70,9 @@ impl Tally {
         self.refused += other.refused;
         self.silent += other.silent;
         self.unknown += other.unknown;
+        self.copies[0] += other.copies[0];
+        self.copies[1] += other.copies[1];
+        self.hidden += other.hidden;
         self.executed += other.executed;
         self.sent[0] += other.sent[0];
         self.sent[1] += other.sent[1];
@@ -104,12 +111,22 @@ struct Written {
     broadcast: bool,
 }
 
+/// A broadcast on its way: function code onward, when it is too late to send it, and the buses that still have to.
+#[derive(Debug)]
+struct Broadcast {
+    body: Vec<u8>,
+    expires: Moment,
+    to: Vec<Port>,
+}
+
 /// Requests to one unit.
 #[derive(Debug, Default)]
 struct Unit {
     open: Vec<Asked>,
     /// Exceptions that name nothing but the function code: how many of each that still stand for an open request.
     exceptions: HashMap<u8, usize>,
+    /// Answers right by coincidence, which leave a request of Modbus without an answer.
+    coincidences: usize,
     /// When the newest answer was measured.
     measured: Instant,
 
@@ -123,9 +140,14 @@ pub struct Master {
     network: Network,
     units: Vec<Unit>,
     written: HashMap<u32, Written>,
+    broadcasts: Vec<Broadcast>,
+    /// The first frame of the broadcast that is on its way on CAN.
+    broadcast_head: Vec<u8>,
     incoming: Vec<u8>,
     /// When something on that port was garbled last.
     garbled: HashMap<usize, Moment>,
+    /// Health bits that the bridge told of itself, all together.
+    pub health: u8,
     /// Polling slots read samples as well.
     pub polls: bool,
     /// What was counted.
@@ -142,8 +164,11 @@ impl Master {
             network: *network,
             units: (0..=u8::MAX).map(|_| Unit::default()).collect(),
             written: HashMap::new(),
+            broadcasts: Vec::new(),
+            broadcast_head: Vec::new(),
             incoming: Vec::new(),
             garbled: HashMap::new(),
+            health: 0,
             polls: false,
             tally: Tally::default(),
             open: 0,
@@ -180,9 +205,41 @@ impl Master {
         self.tally.asked += 1;
     }
 
-    /// Notes a broadcast write of a number that is used once.
-    pub fn broadcast(&mut self, token: u32) {
-        self.written.insert(token, Written { by: 0, broadcast: true });
+    /// Notes a broadcast of a number that is used once, which the bridge has at `at` and sends on these buses.
+    pub fn broadcast(&mut self, question: &Question, to: &[Port], at: Moment) {
+        if let Some(token) = question.token() {
+            self.written.insert(token, Written { by: 0, broadcast: true });
+        }
+        let nst = matches!(question, Question::Write { .. });
+        let row = self.network.routes.iter().find(|row| {
+            row.is_used()
+                && row.protocol.is_nst() == nst
+                && to.iter().any(|port| port.index() == port_of(row))
+        });
+        let expires = at.after(row.map_or(0, |row| u64::from(row.time_to_live_ms)) * MILLIS + NOTICED);
+        let frame = question.frame(0);
+        let body = frame[1..frame.len() - checksum::CRC_LENGTH].to_vec();
+        self.broadcasts.retain(|before| at.since(before.expires) < 1000 * MILLIS);
+        self.broadcasts.push(Broadcast { body, expires, to: to.to_vec() });
+        self.tally.copies[0] += to.len() as u64;
+    }
+
+    /// A broadcast goes out: somebody must have asked for it, not too long ago, and once.
+    fn passes_all(&mut self, port: Port, head: &[u8], is_whole: bool, start: Moment, now: Moment) {
+        let mine =
+            |broadcast: &&mut Broadcast| broadcast.to.contains(&port) && broadcast.body.starts_with(head);
+        let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
+            return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
+        };
+        let limit = if port == Port::Can { broadcast.expires.after(FRAME) } else { broadcast.expires };
+        if is_whole {
+            broadcast.to.retain(|to| *to != port);
+            self.tally.copies[1] += 1;
+        }
+        if start > limit {
+            let late = start.since(limit) / 1000;
+            self.tally.violation(now, || format!("{port:?}: broadcast {late} us after its time to live"));
+        }
     }
 
     /// Whether the same question to the same unit may still be answered: then it could not be told whose an answer is.
@@ -261,8 +318,9 @@ impl Master {
             let port = self.network.route(unit).map_or(0, |(_, route)| port_of(route));
             let garbled = self.garbled.get(&port).is_some_and(|at| now.since(*at) < 1000 * MILLIS);
             // a device never says such a thing by itself
-            if garbled && !is_genuine(remote, reply) {
+            if garbled && !is_genuine(world, remote, reply) {
                 self.tally.coincidences += 1;
+                place.coincidences += 1;
             } else {
                 let open: Vec<_> = place.open.iter().map(|asked| asked.question).collect();
                 self.tally.violation(now, || {
@@ -272,7 +330,9 @@ impl Master {
             return;
         };
         place.measured = moment.unwrap_or(measured);
-        place.open.remove(index);
+        if let (Question::Health, [_, _, _, bits]) = (place.open.remove(index).question, reply) {
+            self.health |= bits;
+        }
         self.open -= 1;
         // requests of one unit keep their order: those before it got no answer
         place.open.iter_mut().take(index).for_each(|earlier| earlier.overtaken = true);
@@ -312,12 +372,16 @@ impl Master {
                 self.tally.silent += (before - place.open.len()) as u64;
             } else {
                 // Modbus is always answered
-                let (tally, exceptions) = (&mut self.tally, &mut place.exceptions);
+                let (tally, exceptions, coincidences) =
+                    (&mut self.tally, &mut place.exceptions, &mut place.coincidences);
                 place.open.retain(|asked| {
                     let keep = now <= asked.over;
                     let excused = exceptions.get_mut(&asked.body[0]).filter(|count| **count > 0);
                     if let Some(count) = excused.filter(|_| !keep) {
                         *count -= 1;
+                    } else if !keep && *coincidences > 0 {
+                        *coincidences -= 1;
+                        tally.silent += 1;
                     } else if !keep {
                         tally.violation(now, || {
                             format!("unit {unit} left {:?} without an answer", asked.question)
@@ -337,7 +401,8 @@ impl Master {
             return self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}"));
         };
         if remote == 0 || remote == u8::MAX {
-            return;
+            let body = body.to_vec();
+            return self.passes_all(port, &body, true, start, now);
         }
         self.passes(port, remote, body, start, now, |asked| asked.body == body);
     }
@@ -348,8 +413,11 @@ impl Master {
         let Id::Extended(raw) = frame.id() else { return };
         let Some(identifier) = Identifier::from_raw(raw) else { return };
         let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
+        if identifier.destination == u8::MAX {
+            return self.overhears_part(&identifier, frame, start, now);
+        }
         let [function, high, low, length, ..] = *frame.payload();
-        if !starts || identifier.destination == u8::MAX {
+        if !starts {
             return;
         }
         let first = u16::from_be_bytes([high, low]);
@@ -369,6 +437,18 @@ impl Master {
                 && moved % most as u16 == 0
                 && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
         });
+    }
+
+    /// A frame of a broadcast on CAN: the first one tells which, the last one that all of it was sent.
+    fn overhears_part(&mut self, identifier: &Identifier, frame: &Frame, start: Moment, now: Moment) {
+        let whole = matches!(identifier.frame_type, FrameType::Single | FrameType::Last);
+        if matches!(identifier.frame_type, FrameType::Single | FrameType::First) {
+            self.broadcast_head = frame.data().to_vec();
+            self.passes_all(Port::Can, &self.broadcast_head.clone(), whole, start, now);
+        } else if whole {
+            let head = self.broadcast_head.clone();
+            self.passes_all(Port::Can, &head, true, Moment::default(), now);
+        }
     }
 
     /// A frame goes to a device: somebody must have asked for it, and not too long ago.
@@ -497,8 +577,19 @@ fn told_inputs(
 }
 
 /// Whether a reply is one that this device gives to some question of ours.
-fn is_genuine(remote: u8, reply: &[u8]) -> bool {
+fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
     match reply {
+        [0x04, _, data @ ..] => {
+            let Some(SerialDevice::Station(station)) = world.lines[1].devices.first().map(|it| &it.device)
+            else {
+                return true;
+            };
+            let mut told = station.told().between(Instant::from_micros(0), world.now().instant());
+            told.any(|(_, inputs)| {
+                let values: Vec<u8> = inputs.analog.iter().flat_map(|value| value.to_be_bytes()).collect();
+                inputs.unit == remote && values.windows(data.len().max(1)).any(|part| part == data)
+            })
+        }
         [0x03, count, data @ ..] => {
             let sample = matches!(Question::Sample { length: *count }.fit(remote, reply), Fit::At(_));
             let pattern = super::station::PATTERN.clone().any(|register| {

@@ -1,18 +1,38 @@
 //! What the host asks, made so that the right answer can be told from every other one by its content.
 
+use super::board::INPUTS;
 use super::random::Random;
 use super::station::{MODULES, PATTERN, SCRATCH, pattern};
 use jointbus_mcu_bridge::engine::config::{Bus, Network, Route};
 use jointbus_protocol::modbus::{self, FunctionCode, Range, rtu};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
+use jointbus_protocol::nxi6201;
 use jointbus_protocol::time::Instant;
 
 /// First register of the analog inputs and of the analog outputs of a module.
 const ANALOG_INPUTS: u16 = 0x40;
 const ANALOG_OUTPUTS: u16 = 0x60;
 
+/// First digital output of a module, as a coil.
+const COILS: u16 = 0x0200;
+
+/// Length of a long write.
+const LONG_WRITE: u8 = 64;
+
 /// A register that no module has.
 const NOWHERE: u16 = 0x99;
+
+/// The output card's bit rate setting (NXI-6201 manual, 5.1.29).
+const CARD_RATE: u16 = 422;
+
+/// The bridge's input registers of its first polling slot.
+const SLOT: Range = Range::new(0x0100, 24);
+
+/// The bridge's input register of its health bits.
+const HEALTH: Range = Range::new(0x0009, 1);
+
+/// Function codes that no module knows: those that the host's silence delimits, and three whose length is known.
+pub(super) const UNSUPPORTED: [u8; 6] = [0x41, 0x48, 0x64, 0x08, 0x16, 0x17];
 
 /// A question to one unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +91,40 @@ pub enum Question {
         /// The number.
         token: u16,
     },
+    /// Modbus: a function code that no module knows.
+    Unsupported {
+        /// Function code.
+        function: u8,
+        /// A number that is used once.
+        token: u16,
+    },
+    /// The board's analog inputs, which stay as they are.
+    BoardInputs {
+        /// The first channel.
+        first: u8,
+        /// How many.
+        count: u8,
+    },
+    /// Modbus 05: a digital output of the board.
+    BoardOutput {
+        /// The channel.
+        channel: u8,
+        /// On or off.
+        on: bool,
+    },
+    /// The bit rate setting of the output card.
+    CardRate,
+    /// The output card's set value of a channel.
+    CardValue {
+        /// The channel.
+        channel: u8,
+        /// A number that is used once; its set value is made of it.
+        token: u16,
+    },
+    /// The first polling slot as a block.
+    Slot,
+    /// The bridge's health bits.
+    Health,
 }
 
 /// How an answer fits a question.
@@ -97,6 +151,10 @@ impl Question {
                 | Self::Inputs { .. }
                 | Self::Nowhere
                 | Self::Loopback { .. }
+                | Self::BoardInputs { .. }
+                | Self::CardRate
+                | Self::Slot
+                | Self::Health
         )
     }
 
@@ -108,6 +166,12 @@ impl Question {
             Self::SetOne { token, .. } => Some(token as u32),
             _ => None,
         }
+    }
+
+    /// Whether only silence ends its frame.
+    #[must_use]
+    pub const fn ends_with_silence(&self) -> bool {
+        matches!(self, Self::Unsupported { function: 0x41.., .. })
     }
 
     /// Transfers that it takes on CAN.
@@ -148,30 +212,64 @@ impl Question {
             let frame = serial::encode_request(unit, &request, &mut buffer);
             return frame.unwrap_or_else(|_| unreachable!("it fits")).to_vec();
         }
-        let [high, low] = match *self {
-            Self::Loopback { token } => token.to_be_bytes(),
-            _ => [0; 2],
+        let (mut data, mut length) = ([0; 11], 0);
+        let mut put = |bytes: &[u8]| {
+            data[length..length + bytes.len()].copy_from_slice(bytes);
+            length += bytes.len();
         };
-        let value = match *self {
-            Self::SetTwo { token, .. } => token.to_be_bytes(),
-            _ => [0; 4],
-        };
-        let loopback = [0, 0, high, low];
+        match *self {
+            Self::SetTwo { token, .. } => put(&token.to_be_bytes()),
+            Self::Loopback { token } => put(&[&[0, 0][..], &token.to_be_bytes()].concat()),
+            Self::CardValue { token, .. } => {
+                // low word first, at most 5 V
+                let [a, b, c, d] = (f32::from(token) / 16_384.0).to_be_bytes();
+                put(&[c, d, a, b]);
+            }
+            // an address and two masks; or a range to be read, and one register to be written; or anything
+            Self::Unsupported { function, token } => {
+                put(&[0, 0]);
+                put(&token.to_be_bytes());
+                put(match function {
+                    0x16 => &[0xA5, 0x5A],
+                    0x17 => &[0, 0x60, 0, 1, 2, 0, 7],
+                    0x08 => &[],
+                    _ => &[0x10, 0x20, 0x30],
+                });
+            }
+            _ => {}
+        }
+        let data = &data[..length];
         let request = match *self {
-            Self::Inputs { first, count } => modbus::Request::ReadInputRegisters(Range::new(
-                ANALOG_INPUTS + u16::from(first),
-                count.into(),
-            )),
+            Self::Inputs { first, count } | Self::BoardInputs { first, count } => {
+                modbus::Request::ReadInputRegisters(Range::new(
+                    ANALOG_INPUTS + u16::from(first),
+                    count.into(),
+                ))
+            }
             Self::SetOne { channel, token } => modbus::Request::WriteSingleRegister {
                 address: ANALOG_OUTPUTS + u16::from(channel),
                 value: token,
             },
             Self::SetTwo { channel, .. } => modbus::Request::WriteMultipleRegisters {
                 range: Range::new(ANALOG_OUTPUTS + u16::from(channel), 2),
-                data: &value,
+                data,
             },
+            Self::BoardOutput { channel, on } => modbus::Request::WriteSingleCoil {
+                address: COILS + u16::from(channel),
+                value: if on { 0xFF00 } else { 0 },
+            },
+            Self::CardRate => modbus::Request::ReadHoldingRegisters(Range::new(CARD_RATE, 2)),
+            Self::CardValue { channel, .. } => modbus::Request::WriteMultipleRegisters {
+                range: Range::new(4 + 20 * u16::from(channel), 2),
+                data,
+            },
+            Self::Slot => modbus::Request::ReadInputRegisters(SLOT),
+            Self::Health => modbus::Request::ReadInputRegisters(HEALTH),
             Self::Nowhere => modbus::Request::ReadInputRegisters(Range::new(NOWHERE, 1)),
-            _ => modbus::Request::Other { function: FunctionCode::from_code(8), data: &loopback },
+            Self::Unsupported { function, .. } => {
+                modbus::Request::Other { function: FunctionCode::from_code(function), data }
+            }
+            _ => modbus::Request::Other { function: FunctionCode::Diagnostics, data },
         };
         rtu::encode_request(unit, &request, &mut buffer).unwrap_or_else(|_| unreachable!("it fits")).to_vec()
     }
@@ -208,10 +306,22 @@ impl Question {
                     Fit::Wrong
                 }
             }
-            (Self::SetOne { .. } | Self::Loopback { .. }, reply) => {
+            (Self::SetOne { .. } | Self::Loopback { .. } | Self::BoardOutput { .. }, reply) => {
                 right(request.get(1..request.len() - 2) == Some(reply))
             }
-            (Self::SetTwo { .. }, reply) => right(request.get(1..6) == Some(reply)),
+            (Self::SetTwo { .. } | Self::CardValue { .. }, reply) => right(request.get(1..6) == Some(reply)),
+            (Self::Unsupported { function, .. }, reply) => right(reply == [function | 0x80, 1]),
+            (Self::BoardInputs { .. }, [0x04, _, data @ ..]) => {
+                let expected = INPUTS.get(self.channels()).unwrap_or(&[]);
+                right(expected.iter().flat_map(|value| value.to_be_bytes()).eq(data.iter().copied()))
+            }
+            (Self::CardRate, [0x03, 4, data @ ..]) => {
+                let rate = nxi6201::Settings::default().read(nxi6201::Register::CanBitRate);
+                let [a, b, c, d] = rate.unwrap_or(0).to_be_bytes();
+                right(data == [c, d, a, b])
+            }
+            (Self::Health, reply) => right(matches!(reply, [0x04, 2, 0, _])),
+            (Self::Slot, [0x04, 48, data @ ..]) => right(is_coherent(data)),
             (Self::Nowhere, reply) => right(reply == [0x84, 2]),
             _ => Fit::Wrong,
         }
@@ -221,9 +331,27 @@ impl Question {
     #[must_use]
     pub fn channels(&self) -> std::ops::Range<usize> {
         match *self {
-            Self::Inputs { first, count } => usize::from(first)..usize::from(first) + usize::from(count),
+            Self::Inputs { first, count } | Self::BoardInputs { first, count } => {
+                usize::from(first)..usize::from(first) + usize::from(count)
+            }
             _ => 0..0,
         }
+    }
+}
+
+/// Whether a slot's registers belong to one moment: a sample that is none yet, or one whose axes spell a single moment
+/// shortly before its stamp.
+fn is_coherent(registers: &[u8]) -> bool {
+    let stamp =
+        registers.get(8..).and_then(|rest| rest.first_chunk()).map_or(0, |at| u64::from_be_bytes(*at));
+    let axes =
+        registers.get(24..).unwrap_or(&[]).as_chunks::<4>().0.iter().map(|axis| i32::from_be_bytes(*axis));
+    let mut sample = Sample::default();
+    sample.0.iter_mut().zip(axes).for_each(|(place, axis)| *place = axis);
+    let measured = crate::devices::motion::spelt_moment(&sample).map(Instant::as_micros);
+    match registers {
+        [0, 0 | 1, ..] => stamp == 0,
+        _ => measured.is_some_and(|measured| measured < stamp && stamp - measured < 1_000_000),
     }
 }
 
@@ -236,7 +364,11 @@ pub struct Questions {
     units: Vec<u8>,
     /// So many questions in a million are writes or commands.
     pub writes: u64,
-    /// Longest reading of a pattern.
+    /// So many writes to modules in a million have a function code that they do not know.
+    pub unsupported: u64,
+    /// Length of the shortest reading of the axes.
+    pub shortest_sample: u8,
+    /// Longest reading of a pattern, and longest write.
     pub longest: u8,
 }
 
@@ -250,13 +382,21 @@ impl Questions {
                 Bus::Can => nodes,
                 Bus::Rs485A => sensors,
                 Bus::Rs485B => MODULES as u8,
-                Bus::Bridge => 1,
-                Bus::LocalOutputs | Bus::LocalIo => 0,
+                Bus::Bridge | Bus::LocalOutputs | Bus::LocalIo => 1,
             };
             units.extend((row.first_unit..=row.last_unit).take(count.into()));
         }
         let token = 0x0100_0000 + (random.next() as u32 & 0x00FF_FFFF);
-        Self { random, token, register: PATTERN.start, units, writes: 300_000, longest: 200 }
+        Self {
+            random,
+            token,
+            register: PATTERN.start,
+            units,
+            writes: 300_000,
+            unsupported: 100_000,
+            shortest_sample: SAMPLE_LENGTH as u8,
+            longest: 200,
+        }
     }
 
     /// Asks only these units.
@@ -270,17 +410,40 @@ impl Questions {
         (unit, self.for_unit(network, unit))
     }
 
+    /// A number of which no half is 0, which an order without a number has.
+    const fn next_token(&mut self) -> u32 {
+        self.token = self.token.wrapping_add(0x1_0001);
+        if self.token as u16 == 0 || self.token >> 16 == 0 {
+            self.token = self.token.wrapping_add(0x1_0001);
+        }
+        self.token
+    }
+
+    /// A write to all modules, as unit 0, or to all sensors, as unit 255.
+    pub(super) fn broadcast(&mut self) -> (u8, Question) {
+        let token = self.next_token();
+        match self.random.below(3) {
+            0 => (0, Question::SetOne { channel: self.random.below(16) as u8, token: token as u16 }),
+            1 => (0, Question::SetTwo { channel: self.random.below(15) as u8, token }),
+            _ => {
+                let length = self.random.pick(&[4, 8, 18]);
+                (u8::MAX, Question::Write { register: SCRATCH.start, length, token })
+            }
+        }
+    }
+
     /// A question to this unit.
     pub fn for_unit(&mut self, network: &Network, unit: u8) -> Question {
-        self.token = self.token.wrapping_add(0x1_0001);
-        let token = self.token;
-        let short = (token as u16).max(1);
+        let token = self.next_token();
+        let short = token as u16;
         let bus = network.route(unit).map(|(_, route)| (route.bus, route.protocol.is_nst()));
         let write = self.random.chance(self.writes);
         match bus {
             Some((_, true)) if write => match self.random.below(8) {
                 0 => Question::Command { set: self.random.chance(500_000) },
-                1 => Question::Write { register: SCRATCH.start, length: 64, token },
+                1 if self.longest >= LONG_WRITE => {
+                    Question::Write { register: SCRATCH.start, length: LONG_WRITE, token }
+                }
                 _ => {
                     let length = self.random.pick(&[4, 4, 8, 18]);
                     let register =
@@ -289,7 +452,7 @@ impl Questions {
                 }
             },
             Some((_, true)) => match self.random.below(3) {
-                0 => Question::Sample { length: SAMPLE_LENGTH as u8 + self.random.below(16) as u8 },
+                0 => Question::Sample { length: self.shortest_sample + self.random.below(16) as u8 },
                 _ => {
                     let length = match self.random.below(16) {
                         0 => self.random.between(19, self.longest.max(19).into()) as u8,
@@ -303,7 +466,26 @@ impl Questions {
                     Question::Pattern { register: self.register, length }
                 }
             },
-            Some((Bus::Bridge, false)) => Question::Loopback { token: short },
+            Some((Bus::Bridge, false)) => match self.random.below(4) {
+                0 => Question::Slot,
+                _ => Question::Loopback { token: short },
+            },
+            Some((Bus::LocalOutputs, false)) if write => {
+                Question::CardValue { channel: self.random.below(4) as u8, token: short }
+            }
+            Some((Bus::LocalOutputs, false)) => Question::CardRate,
+            Some((Bus::LocalIo, false)) if write => {
+                let on = self.random.chance(500_000);
+                Question::BoardOutput { channel: self.random.below(8) as u8, on }
+            }
+            Some((Bus::LocalIo, false)) => {
+                let first = self.random.below(INPUTS.len() as u64) as u8;
+                let most = INPUTS.len() as u64 - u64::from(first);
+                Question::BoardInputs { first, count: self.random.between(1, most) as u8 }
+            }
+            _ if write && self.random.chance(self.unsupported) => {
+                Question::Unsupported { function: self.random.pick(&UNSUPPORTED), token: short }
+            }
             _ if write => {
                 let channel = self.random.below(15) as u8;
                 match self.random.below(2) {

@@ -31,6 +31,8 @@ pub enum Manner {
     Waits(u64),
     /// For nothing: requests come one to so many microseconds apart.
     Streams(u64),
+    /// For nothing: a request comes each so many microseconds.
+    Paces(u64),
 }
 
 /// What a run does.
@@ -46,6 +48,8 @@ pub struct Plan {
     pub faults: Vec<Fault>,
     /// Chance of a fault before each request, in a million.
     pub fault_rate: u64,
+    /// So many requests in a million are broadcasts.
+    pub broadcast_rate: u64,
 }
 
 impl Plan {
@@ -56,14 +60,17 @@ impl Plan {
         let mut settings = Settings::new(seed);
         let delay = |random: &mut Random| match random.below(3) {
             0 => Delay::PROMPT,
-            1 => Delay::MOODY,
-            // up to three times the timeout of a read
-            _ => Delay::Tailed(random.between(100, 5000) * MICROS, 150 * MILLIS, 50_000),
+            1 => Delay::Moody(200 * MICROS, 20_000),
+            _ => Delay::Moody(random.between(100, 5000) * MICROS, 50_000),
         };
         settings.sensor_delay = delay(&mut random);
         settings.node_delay = delay(&mut random);
         if random.below(2) == 0 {
-            settings.station_delay = Delay::Tailed(2 * MILLIS, 600 * MILLIS, 20_000);
+            settings.station_delay = Delay::Moody(2 * MILLIS, 20_000);
+        }
+        // some ports hear themselves
+        for port in [Port::Rs485A, Port::Rs485B] {
+            settings.network.ports[port.index()].echo = random.chance(300_000);
         }
         settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
         let manner = match random.below(3) {
@@ -72,7 +79,21 @@ impl Plan {
         };
         let fault_rate = random.pick(&[3000, 20_000, 100_000]);
         let faults = kinds.unwrap_or(Fault::ALL).to_vec();
-        Self { settings, requests, manner, faults, fault_rate }
+        Self { settings, requests, manner, faults, fault_rate, broadcast_rate: 20_000 }
+    }
+
+    /// The plan of a seed in which most bursts of the host are broken frames with a valid command in their data, or
+    /// broadcasts behind stray bytes.
+    #[must_use]
+    pub fn hiding(seed: u64, requests: u64) -> Self {
+        const HIDING: [Fault; 5] = [
+            Fault::HostHiddenCommand,
+            Fault::HostHiddenCommand,
+            Fault::HostHiddenBehind,
+            Fault::HostHiddenBehind,
+            Fault::HostStrayBroadcast,
+        ];
+        Self { fault_rate: 900_000, ..Self::of_seed(seed, requests, Some(&HIDING)) }
     }
 
     /// Carries the plan out.
@@ -97,8 +118,11 @@ pub struct Run<'q> {
     random: Random,
     plan: Plan,
     asked: u64,
-    /// When a host who waits goes on without an answer.
+    /// The unit whose answer a host who waits is waiting for, and when he goes on without it.
+    waiting_for: Option<u8>,
     impatient: Moment,
+    /// Until then the host is silent, for that ends a frame.
+    silent: Moment,
 }
 
 impl<'q> Run<'q> {
@@ -115,91 +139,126 @@ impl<'q> Run<'q> {
             random,
             plan,
             asked: 0,
+            waiting_for: None,
             impatient: Moment::default(),
+            silent: Moment::default(),
         }
     }
 
     /// Asks all of it, lets everything come to rest, and settles the account.
     pub fn to_the_end(&mut self) {
+        self.start();
+        while self.asked < self.plan.requests || self.master.open > 0 {
+            self.next(self.world.now().after(100 * MILLIS));
+        }
+        self.settle(2000 * MILLIS);
+        self.account();
+    }
+
+    /// Has the host begin to ask.
+    pub fn start(&mut self) {
         self.world.set_alarm(self.world.now(), NEXT);
-        let mut waiting_for = None;
+    }
+
+    /// Runs to the next notice, of which the host has taken notice then, at most until `end`.
+    pub fn next(&mut self, end: Moment) -> Option<Notice> {
         loop {
-            let far = self.world.now().after(100 * MILLIS);
             // one who waits loses patience at a certain moment
-            let patience = waiting_for.and_then(|unit| self.master.patience(unit));
-            let end = patience.map_or(far, |at| far.min(at.after(1)).min(self.impatient));
-            match self.world.next(end) {
-                Some(Notice::Alarm(NEXT)) => waiting_for = self.next_request(),
-                Some(Notice::HostHears(byte)) => {
-                    let answered = self.master.hear(byte, &self.world);
-                    if answered.is_some() && waiting_for == answered {
-                        waiting_for = None;
+            let patience = self.waiting_for.and_then(|unit| self.master.patience(unit));
+            let until = patience.map_or(end, |at| end.min(at.after(1)).min(self.impatient));
+            match self.world.next(until) {
+                Some(Notice::Alarm(NEXT)) => self.waiting_for = self.next_request(),
+                Some(notice) => {
+                    let answered = self.notice(&notice);
+                    if answered.is_some() && self.waiting_for == answered {
+                        self.waiting_for = None;
                         let pause = self.random.below(300 * MICROS);
-                        self.world.set_alarm(self.world.now().after(pause), NEXT);
+                        self.world.set_alarm(self.world.now().after(pause).max(self.silent), NEXT);
                     }
+                    return Some(notice);
                 }
-                Some(notice) => self.notice(&notice),
                 None => {
-                    self.master.forget(self.world.now());
-                    if let Some(unit) = waiting_for
-                        && (self.master.patience(unit).is_none() || self.world.now() >= self.impatient)
+                    let now = self.world.now();
+                    self.master.forget(now);
+                    if let Some(unit) = self.waiting_for
+                        && (self.master.patience(unit).is_none() || now >= self.impatient)
                     {
-                        waiting_for = None;
-                        self.world.set_alarm(self.world.now(), NEXT);
+                        self.waiting_for = None;
+                        self.world.set_alarm(now.max(self.silent), NEXT);
                     }
-                    if self.asked >= self.plan.requests && self.master.open == 0 {
-                        break;
+                    if now >= end {
+                        return None;
                     }
                 }
             }
         }
-        self.settle(2000 * MILLIS);
-        self.account();
     }
 
     /// Lets time pass, in which nothing is asked.
     pub fn settle(&mut self, span: Nanos) {
         let end = self.world.now().after(span);
         while let Some(notice) = self.world.next(end) {
-            match notice {
-                Notice::HostHears(byte) => {
-                    self.master.hear(byte, &self.world);
-                }
-                notice => self.notice(&notice),
-            }
+            self.notice(&notice);
         }
         self.master.forget(self.world.now());
+    }
+
+    /// Asks a question. The answer is when the host may send again.
+    pub fn ask(&mut self, unit: u8, question: Question) -> Moment {
+        let end = self.world.host_sends(&question.frame(unit));
+        if question.ends_with_silence() {
+            self.world.host_pauses(SILENCE);
+            self.master.ask(unit, question, end.after(BURST_ENDS));
+            self.silent = end.after(SILENCE);
+            return self.silent;
+        }
+        self.master.ask(unit, question, end);
+        end
     }
 
     /// Asks a question, and waits for the answer; whether one came.
     pub fn ask_and_wait(&mut self, unit: u8, question: Question) -> bool {
         let answered = self.master.tally.answered;
-        let at = self.world.host_sends(&question.frame(unit));
-        self.master.ask(unit, question, at);
+        self.ask(unit, question);
         while let Some(over) = self.master.patience(unit) {
             match self.world.next(over.after(1)) {
-                Some(Notice::HostHears(byte)) => {
-                    self.master.hear(byte, &self.world);
+                Some(notice) => {
+                    self.notice(&notice);
                 }
-                Some(notice) => self.notice(&notice),
                 None => self.master.forget(self.world.now()),
             }
         }
         self.master.tally.answered > answered
     }
 
-    /// Takes notice of what the wires show.
-    pub fn notice(&mut self, notice: &Notice) {
+    /// Sends a write to all of one kind.
+    fn broadcast(&mut self) -> Moment {
+        let (unit, question) = self.questions.broadcast();
+        let end = self.world.host_sends(&question.frame(unit));
+        if unit == nst::BROADCAST {
+            self.world.host_pauses(SILENCE);
+            self.silent = end.after(SILENCE);
+            self.master.broadcast(&question, &[Port::Rs485A, Port::Can], end.after(BURST_ENDS));
+            return self.silent;
+        }
+        self.master.broadcast(&question, &[Port::Rs485B], end);
+        end
+    }
+
+    /// Takes notice of what the wires show; the unit whose answer came with it.
+    pub fn notice(&mut self, notice: &Notice) -> Option<u8> {
         let now = self.world.now();
         match *notice {
+            Notice::HostHears(byte) => return self.master.hear(byte, &self.world),
             Notice::SerialFrame { port, start } => {
                 self.master.overhears(port, self.world.sent_frame(port), start, now);
             }
             Notice::CanFrame { frame, start } => self.master.overhears_frame(&frame, start, now),
             Notice::Ordered { port, address, order } => self.master.ordered(port, address, &order, now),
             Notice::Garbled(port) => self.master.garbled(port, now),
-            Notice::HostHears(_) | Notice::Alarm(_) | Notice::BridgeHears(_) => {}
+            Notice::Alarm(_) | Notice::BridgeHears(_) => {}
         }
+        None
     }
 
     /// Sends the next request, or a fault of the host's line in place of it. The answer is the unit that a host who
@@ -219,14 +278,19 @@ impl<'q> Run<'q> {
         if let Some(fault) = fault {
             self.world.inject(fault);
         }
+        if self.random.chance(self.plan.broadcast_rate) {
+            let at = self.broadcast();
+            self.world.set_alarm(at.after(self.random.below(300 * MICROS)), NEXT);
+            return None;
+        }
         let (unit, question) = self.next_question();
-        let at = self.world.host_sends(&question.frame(unit));
-        self.master.ask(unit, question, at);
+        let at = self.ask(unit, question);
         match self.plan.manner {
             Manner::Waits(patience) => {
                 self.impatient = at.after(patience * MILLIS);
                 return Some(unit);
             }
+            Manner::Paces(pause) => self.world.set_alarm(at.after(pause * MICROS), NEXT),
             Manner::Streams(longest) => {
                 let pause = self.random.between(1, longest) * MICROS;
                 self.world.set_alarm(at.after(pause), NEXT);
@@ -245,9 +309,19 @@ impl<'q> Run<'q> {
         }
     }
 
+    /// One whose frame ends without silence.
+    fn plain_question(&mut self) -> (u8, Question) {
+        loop {
+            let (unit, question) = self.next_question();
+            if !question.ends_with_silence() {
+                return (unit, question);
+            }
+        }
+    }
+
     /// Brings a fault of the host's line about; when its last byte ends.
     pub fn host_fault(&mut self, fault: Fault) -> Moment {
-        let (unit, question) = self.next_question();
+        let (unit, question) = self.plain_question();
         let frame = question.frame(unit);
         let cut = 1 + self.random.index(frame.len() - 1);
         match fault {
@@ -261,10 +335,8 @@ impl<'q> Run<'q> {
             Fault::HostGlued => {
                 let at = self.world.host_sends(&frame);
                 self.master.ask(unit, question, at);
-                let (unit, question) = self.next_question();
-                let at = self.world.host_sends(&question.frame(unit));
-                self.master.ask(unit, question, at);
-                at
+                let (unit, question) = self.plain_question();
+                self.ask(unit, question)
             }
             Fault::HostStrayBytes => {
                 let bytes = self.harmless(
@@ -286,9 +358,27 @@ impl<'q> Run<'q> {
                 self.world.host_pauses(SILENCE + MILLIS);
                 self.spoilt(&bytes)
             }
+            Fault::HostFraming => {
+                let bytes = self.harmless(
+                    |run| {
+                        let mut bytes = frame.clone();
+                        bytes[cut] ^= 1 + run.random.below(255) as u8;
+                        bytes
+                    },
+                    &[],
+                );
+                self.spoilt(&bytes[..cut]);
+                self.world.host_sends_unframed(bytes[cut]);
+                self.world.host_sends(&bytes[cut + 1..])
+            }
             // their CRC is right, and nobody takes them for all that
             Fault::HostUnknownUnit | Fault::HostUnknownFunction => {
                 let bytes = self.broken(fault, &frame);
+                self.spoilt(&bytes)
+            }
+            Fault::HostHiddenCommand | Fault::HostHiddenBehind | Fault::HostStrayBroadcast => {
+                self.master.tally.hidden += 1;
+                let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
                 self.spoilt(&bytes)
             }
             _ => {
@@ -315,12 +405,12 @@ impl<'q> Run<'q> {
             let coincidence = (0..=STRAY_MAX).any(|start| {
                 let end_of = |end: usize| bytes.get(start..end).and_then(checksum::verify).is_some();
                 let is_meant = |end: usize| end == bytes.len() && bytes.get(start..) == Some(meant);
-                (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
+                // a broadcast behind stray bytes is right, and not to be taken
+                let broadcast = start > 0 && bytes.get(start).is_some_and(|byte| [0, u8::MAX].contains(byte));
+                !broadcast && (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
             });
-            // a broadcast behind stray bytes is right, and not to be taken
-            let broadcast = bytes.iter().take(STRAY_MAX + 1).any(|byte| [0, u8::MAX].contains(byte));
             // some frames have a right CRC inside, whatever comes before them: their length byte says that it is none
-            if !coincidence || tries > 100 || (broadcast && meant.is_empty() && self.random.chance(200_000)) {
+            if !coincidence || tries > 100 {
                 return bytes;
             }
         }
@@ -368,7 +458,7 @@ impl<'q> Run<'q> {
 
     /// A write that is wrong, with a command in its data that is right.
     fn hiding(&mut self, behind: bool) -> Vec<u8> {
-        let inner = self.random.pick(&[1, 3, 16, 18, 32, 33, 247]);
+        let inner = self.random.pick(&[1, 3, 16, 18, 31, 32, 33, 40, 247]);
         let mut data: Vec<u8> = (0..self.random.below(8)).map(|_| self.random.byte()).collect();
         data.extend(hidden_command(inner, &mut self.random));
         if self.random.below(2) == 0 && !behind {
@@ -412,7 +502,9 @@ impl<'q> Run<'q> {
         let counted = expired + timeouts + refused - retries;
         let tally = &mut self.master.tally;
         // what was relayed by coincidence is an answer to the bridge
-        let unanswered = tally.silent + tally.refused + tally.unknown - tally.coincidences;
+        let unanswered = tally.silent + tally.refused + tally.unknown + tally.copies[0]
+            - tally.copies[1]
+            - tally.coincidences;
         let now = self.world.now();
         if tally.asked != tally.answered + tally.silent + tally.refused || counted != unanswered {
             let told = tally.clone();

@@ -2,7 +2,7 @@
 
 use super::delay::Delay;
 use super::fault::Fault;
-use super::moment::{Moment, Nanos};
+use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
@@ -15,7 +15,7 @@ use jointbus_protocol::time::{Duration, Instant};
 use std::collections::VecDeque;
 
 /// Modules of the station.
-pub const MODULES: usize = 4;
+pub const MODULES: usize = 5;
 
 /// Channels of each module.
 pub const LAYOUT: Layout =
@@ -63,6 +63,8 @@ pub struct SerialStation {
     pub delay: Delay,
     /// Without power until then.
     pub absent: Moment,
+    /// The module of a station that does not answer.
+    pub without: Option<usize>,
     /// When it is to be told the time; one entry of the agenda at most.
     pub(super) polled: Option<Moment>,
     replies: VecDeque<(Moment, Vec<u8>)>,
@@ -87,7 +89,7 @@ impl SerialStation {
 
     fn new(device: SerialDevice, delay: Delay) -> Self {
         let (absent, replies) = (Moment::default(), VecDeque::new());
-        Self { device, delay, absent, polled: None, replies, orders_seen: 0 }
+        Self { device, delay, absent, without: None, polled: None, replies, orders_seen: 0 }
     }
 
     fn line(&mut self) -> &mut dyn SerialLine {
@@ -102,10 +104,12 @@ impl SerialStation {
         if now < self.absent {
             return Vec::new();
         }
-        match byte {
+        let reply = match byte {
             Some(byte) => self.line().receive(&[byte], now.instant()),
             None => self.line().poll(now.instant()),
-        }
+        };
+        let dead = self.without.map(|index| index as u8 + 1);
+        if dead.is_some() && reply.first().copied() == dead { Vec::new() } else { reply }
     }
 
     /// When it wants to be told the time.
@@ -130,11 +134,13 @@ impl SerialStation {
         newest.filter(|_| new)
     }
 
-    /// Has a reply sent at that moment, or behind those before it.
-    pub(super) fn queue(&mut self, at: Moment, reply: Vec<u8>) -> Moment {
+    /// Has a reply sent at that moment, or behind those before it; not at all if that is later than `latest`.
+    pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<u8>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
-        self.replies.push_back((at, reply));
-        at
+        (at <= latest).then(|| {
+            self.replies.push_back((at, reply));
+            at
+        })
     }
 
     /// The reply that is due; none from a device that lost its power meanwhile.
@@ -180,15 +186,26 @@ impl CanStation {
         orders.newest().filter(|_| new).map(|(_, order)| (node, *order))
     }
 
-    pub(super) fn queue(&mut self, at: Moment, reply: Vec<Frame>) -> Moment {
+    pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<Frame>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
-        self.replies.push_back((at, reply));
-        at
+        (at <= latest).then(|| {
+            self.replies.push_back((at, reply));
+            at
+        })
     }
 
     pub(super) fn due(&mut self, now: Moment) -> Option<Vec<Frame>> {
         let (_, reply) = self.replies.pop_front()?;
         (now >= self.absent).then_some(reply)
+    }
+}
+
+/// How long the default bridge waits for the reply that starts with this function code.
+pub(super) const fn timeout_of(nst: bool, function: Option<u8>) -> Nanos {
+    match (nst, function) {
+        (true, Some(0x03 | 0x15)) => 50 * MILLIS,
+        (false, Some(1..=4 | 0x81..=0x84)) => 200 * MILLIS,
+        _ => 500 * MILLIS,
     }
 }
 
@@ -226,7 +243,7 @@ pub(super) fn spoil(
         }
         Fault::ReplyOtherFunction => {
             reply[1] = random.pick(
-                &[0x03, 0x04, 0x06, 0x10, 0x12, 0x19, 0x41].map(|other| other + u8::from(other == reply[1])),
+                &[0x03, 0x04, 0x06, 0x10, 0x12, 0x19, 0x55].map(|other| other + u8::from(other == reply[1])),
             );
             reseal(reply);
         }

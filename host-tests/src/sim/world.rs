@@ -1,15 +1,20 @@
 //! The event loop: wires, devices and the board, in the order of time.
 
+mod can;
+mod host_line;
+mod inject;
+mod rs485;
+
 use super::agenda::Agenda;
 use super::board::{Board, CONTROLLER, Handed, SERIAL, Uart};
-use super::can_wire::{CanWire, Ended, Ending};
+use super::can_wire::CanWire;
 use super::fault::Fault;
 use super::line::Line;
 use super::moment::{MICROS, Moment, Nanos};
 use super::random::Random;
 use super::recorder::{Interface, Recorder};
 use super::settings::Settings;
-use super::station::{self, CanStation, SerialStation};
+use super::station::{CanStation, SerialStation};
 use crate::devices::Order;
 use jointbus_mcu_bridge::engine::Engine;
 use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
@@ -22,10 +27,13 @@ use std::collections::VecDeque;
 const TICK: Nanos = 100 * MICROS;
 
 /// The bridge's transceiver on an RS485 line; the devices follow, and one intruder.
-pub(super) const BRIDGE: usize = 0;
+const BRIDGE: usize = 0;
+
+/// Bit errors in a row that take a fresh controller to bus-off.
+pub(super) const TO_BUS_OFF: usize = 32;
 
 /// RS485 lines.
-pub(super) const LINES: usize = 2;
+const LINES: usize = 2;
 
 /// Something that an observer may want to know.
 #[derive(Debug, Clone, Copy)]
@@ -84,6 +92,8 @@ enum Event {
 #[derive(Debug, Clone, Copy)]
 enum ToSend {
     Byte(u8),
+    /// A byte whose stop bit is missing.
+    Unframed(u8),
     Pause(Nanos),
 }
 
@@ -139,7 +149,8 @@ impl<'q> World<'q> {
         let bus = |port: Port, devices: Vec<SerialStation>| {
             let config = settings.network.port(port);
             // the bridge, the devices, the intruder
-            let line = Line::new(devices.len() + 2, byte_time(config));
+            let mut line = Line::new(devices.len() + 2, byte_time(config));
+            line.set_noisy(devices.len() + 1);
             Bus {
                 line,
                 devices,
@@ -210,6 +221,12 @@ impl<'q> World<'q> {
         self.now
     }
 
+    /// What is simulated.
+    #[must_use]
+    pub const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
     /// The bridge's engine.
     #[must_use]
     pub const fn engine(&self) -> &Engine {
@@ -231,10 +248,16 @@ impl<'q> World<'q> {
         }
         self.host_goes_on();
         let spans = self.to_bridge.iter().map(|item| match item {
-            ToSend::Byte(_) => self.host_byte,
+            ToSend::Byte(_) | ToSend::Unframed(_) => self.host_byte,
             ToSend::Pause(span) => *span,
         });
         self.now.after(spans.sum())
+    }
+
+    /// Has the host send a byte without its stop bit, behind what it has not sent yet.
+    pub fn host_sends_unframed(&mut self, byte: u8) {
+        self.to_bridge.push_back(ToSend::Unframed(byte));
+        self.host_goes_on();
     }
 
     /// Has the host pause behind what it has not sent yet.
@@ -309,7 +332,7 @@ impl<'q> World<'q> {
 
     /// An interrupt: the main loop takes notice a little later.
     fn interrupt(&mut self) {
-        let at = self.now.after(self.settings.latency.draw(&mut self.random));
+        let at = self.now.after(self.settings.latency.draw(0, &mut self.random));
         self.wake(at);
     }
 
@@ -347,290 +370,6 @@ impl<'q> World<'q> {
             if handed.serial[line + 1] && !self.uarts[line + 1].sending {
                 self.start_bridge_frame(line);
             }
-        }
-        self.move_can();
-    }
-
-    // the host's line
-
-    fn host_goes_on(&mut self) {
-        if self.host_sending {
-            return;
-        }
-        match self.to_bridge.front() {
-            Some(ToSend::Byte(_)) => {
-                self.host_sending = true;
-                self.agenda.enter(self.now.after(self.host_byte), Event::ToBridge);
-            }
-            Some(ToSend::Pause(span)) => {
-                self.host_sending = true;
-                let end = self.now.after(*span);
-                self.to_bridge.pop_front();
-                self.agenda.enter(end, Event::HostGoesOn);
-            }
-            None => {}
-        }
-    }
-
-    fn end_byte_to_bridge(&mut self) {
-        if let Some(ToSend::Byte(byte)) = self.to_bridge.pop_front() {
-            self.uarts[0].queues.received(byte, micros(self.now));
-            self.interrupt();
-        }
-        self.host_sending = false;
-        self.host_goes_on();
-    }
-
-    fn start_byte_to_host(&mut self) {
-        self.to_host = self.uarts[0].queues.next_byte();
-        self.uarts[0].sending = self.to_host.is_some();
-        if self.to_host.is_some() {
-            self.agenda.enter(self.now.after(self.host_byte), Event::ToHost);
-        }
-    }
-
-    fn end_byte_to_host(&mut self) {
-        if let Some(byte) = self.to_host.take() {
-            self.notices.push_back(Notice::HostHears(byte));
-            if let Some(recorder) = &mut self.recorder {
-                recorder.bytes(Interface::Host, false, self.now, &[byte]);
-            }
-        }
-        self.start_byte_to_host();
-        // room in the queue, or the end of a transmission
-        if !self.uarts[0].sending {
-            self.uarts[0].queues.transmitted();
-            self.interrupt();
-        }
-    }
-
-    // RS485
-
-    fn start_bridge_frame(&mut self, line: usize) {
-        let Some(byte) = self.uarts[line + 1].queues.next_byte() else { return };
-        self.uarts[line + 1].sending = true;
-        let bus = &mut self.lines[line];
-        bus.frame.clear();
-        bus.frame.push(byte);
-        bus.frame_start = self.now;
-        let mute = std::mem::take(&mut bus.mute);
-        if mute > 0 {
-            bus.line.mute(BRIDGE, self.now.after(mute));
-        }
-        self.line_sends(line, BRIDGE, &[byte]);
-    }
-
-    pub(super) fn line_sends(&mut self, line: usize, sender: usize, bytes: &[u8]) {
-        if let Some(end) = self.lines[line].line.send(sender, bytes, self.now) {
-            self.agenda.enter(end, Event::LineByte { line, sender });
-        }
-    }
-
-    /// Has the intruder send random bytes at that moment.
-    pub(super) fn enter_noise(&mut self, line: usize, at: Moment) {
-        self.agenda.enter(at, Event::NoiseStarts { line });
-    }
-
-    fn end_line_byte(&mut self, line: usize, sender: usize) {
-        // the next byte follows without a pause, so it has to be there
-        let following = (sender == BRIDGE).then(|| self.uarts[line + 1].queues.next_byte()).flatten();
-        let bus = &mut self.lines[line];
-        if let Some(byte) = following {
-            bus.frame.push(byte);
-            bus.line.send(BRIDGE, &[byte], self.now);
-        }
-        let (heard, next) = bus.line.end(sender, self.now, &mut self.random);
-        let (port, echo) = (bus.port, bus.echo);
-        if let Some(end) = next {
-            self.agenda.enter(end, Event::LineByte { line, sender });
-        }
-        if !heard.genuine {
-            self.notices.push_back(Notice::Garbled(port));
-        }
-        for _ in 0..if heard.twice { 2 } else { 1 } {
-            let Some(byte) = heard.byte else { break };
-            if let Some(recorder) = &mut self.recorder {
-                let interface = if line == 0 { Interface::Rs485A } else { Interface::Rs485B };
-                recorder.bytes(interface, sender == BRIDGE, self.now, &[byte]);
-            }
-            if sender != BRIDGE || echo {
-                self.uarts[line + 1].queues.received(byte, micros(self.now));
-                self.interrupt();
-            }
-            self.devices_hear(line, sender, byte);
-        }
-        if sender == BRIDGE && next.is_none() {
-            self.end_bridge_frame(line);
-        }
-    }
-
-    fn end_bridge_frame(&mut self, line: usize) {
-        let uart = &mut self.uarts[line + 1];
-        uart.sending = false;
-        uart.queues.transmitted();
-        let bus = &mut self.lines[line];
-        let hold = std::mem::take(&mut bus.hold);
-        if hold > 0 {
-            bus.line.hold(BRIDGE, self.now.after(hold));
-        }
-        self.notices.push_back(Notice::SerialFrame { port: bus.port, start: bus.frame_start });
-        self.interrupt();
-    }
-
-    fn devices_hear(&mut self, line: usize, sender: usize, byte: u8) {
-        for device in 0..self.lines[line].devices.len() {
-            if device + 1 != sender {
-                let reply = self.lines[line].devices[device].hear(Some(byte), self.now);
-                self.device_answers(line, device, reply);
-            }
-        }
-    }
-
-    fn poll_device(&mut self, line: usize, device: usize) {
-        let station = &mut self.lines[line].devices[device];
-        station.polled = None;
-        let reply = station.hear(None, self.now);
-        self.device_answers(line, device, reply);
-    }
-
-    fn device_answers(&mut self, line: usize, device: usize, mut reply: Vec<u8>) {
-        let bus = &mut self.lines[line];
-        let station = &mut bus.devices[device];
-        if station.polled.is_none()
-            && self.now >= station.absent
-            && let Some(deadline) = station.deadline()
-        {
-            let at = Moment::of(deadline).max(self.now.after(1));
-            station.polled = Some(at);
-            self.agenda.enter(at, Event::DevicePoll { line, device });
-        }
-        if let Some((address, order)) = station.new_orders() {
-            self.notices.push_back(Notice::Ordered { port: bus.port, address, order });
-        }
-        if reply.is_empty() {
-            return;
-        }
-        let mut delay = station.delay.draw(&mut self.random);
-        let mut again = None;
-        let timeout = if line == 0 { 50_000_000 } else { 200_000_000 };
-        // an exception is something that only Modbus has
-        let fits = |fault: &Fault| *fault != Fault::ReplyException || line == 1;
-        let fault = match bus.armed.front() {
-            Some(fault) if fits(fault) => bus.armed.pop_front(),
-            _ => None,
-        };
-        if let Some(fault) = fault {
-            delay += station::spoil(fault, &mut reply, timeout, &mut again, &mut self.random);
-            self.notices.push_back(Notice::Garbled(bus.port));
-        }
-        if reply.is_empty() {
-            return;
-        }
-        let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
-        for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
-            let at = station.queue(at, reply);
-            self.agenda.enter(at, Event::DeviceReply { line, device });
-        }
-    }
-
-    // CAN
-
-    /// Lets the bus go on, and looks again when something ends there.
-    pub(super) fn move_can(&mut self) {
-        while let Some(ended) = self.can.end(self.now) {
-            self.frame_ended(&ended);
-        }
-        let next = self.can.start(self.now).or_else(|| self.can.recovery(self.now));
-        if let Some(next) = next.map(|next| next.max(self.now.after(1)))
-            && self.can_due.is_none_or(|due| next < due)
-        {
-            self.can_due = Some(next);
-            self.agenda.enter(next, Event::Can);
-        }
-    }
-
-    fn frame_ended(&mut self, ended: &Ended) {
-        let own = ended.sender == CONTROLLER;
-        let Ending::Acknowledged { times } = ended.ending else {
-            self.board.on_error(own);
-            self.interrupt();
-            return;
-        };
-        if let Some(recorder) = &mut self.recorder {
-            recorder.frame(self.now, &ended.frame);
-        }
-        if own {
-            self.board.on_sent();
-            self.interrupt();
-            self.notices.push_back(Notice::CanFrame { frame: ended.frame, start: ended.start });
-        }
-        for _ in 0..times {
-            if !own && self.board.on_frame(&ended.frame, self.now.instant()) {
-                self.interrupt();
-                self.notices.push_back(Notice::BridgeHears(ended.frame));
-            }
-            for node in 0..self.nodes.len() {
-                if node + 1 != ended.sender && self.can.controllers[node + 1].powered {
-                    self.node_hears(node, &ended.frame);
-                }
-            }
-        }
-    }
-
-    fn node_hears(&mut self, node: usize, frame: &Frame) {
-        let station = &mut self.nodes[node];
-        let mut reply = station.hear(frame, self.now);
-        if let Some((address, order)) = station.new_orders() {
-            self.notices.push_back(Notice::Ordered { port: Port::Can, address, order });
-        }
-        if reply.is_empty() {
-            return;
-        }
-        let mut delay = station.delay.draw(&mut self.random);
-        let mut again = None;
-        if let Some(fault) = self.can_armed.pop_front() {
-            delay += station::spoil_frames(fault, &mut reply, 50_000_000, &mut again, &mut self.random);
-        }
-        let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
-        for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
-            let at = station.queue(at, reply);
-            self.agenda.enter(at, Event::NodeReply { node });
-        }
-    }
-
-    /// A frame of this controller was destroyed.
-    pub(super) fn failed_frame(&mut self, sender: usize) {
-        self.board.on_error(sender == CONTROLLER);
-        self.interrupt();
-        self.can_due = None;
-    }
-
-    /// Has the bus looked at again at that moment.
-    pub(super) fn can_looks_again(&mut self, at: Moment) {
-        self.agenda.enter(at, Event::CanBack);
-    }
-
-    /// Takes the power of some nodes until `end`.
-    pub(super) fn darken(&mut self, nodes: &[usize], end: Moment) {
-        for node in nodes {
-            self.nodes[*node].absent = end;
-        }
-        self.power_nodes();
-        self.agenda.enter(end, Event::CanBack);
-    }
-
-    fn power_nodes(&mut self) {
-        let mut anybody = false;
-        for (node, controller) in self.nodes.iter().zip(self.can.controllers.iter_mut().skip(1)) {
-            controller.powered = self.now >= node.absent;
-            anybody |= controller.powered;
-            if !controller.powered {
-                controller.outbox.clear();
-            }
-        }
-        // the intruder listens only where somebody else does
-        if let Some(intruder) = self.can.controllers.last_mut() {
-            intruder.powered = anybody;
         }
         self.move_can();
     }

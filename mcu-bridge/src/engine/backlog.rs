@@ -190,7 +190,11 @@ impl OwedReplies {
     /// Whether a request would have to wait for one.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         request.expected.is_some_and(|asked| {
-            self.0.iter().any(|owed| now < owed.until && owed.expected.could_answer(&asked))
+            let could_answer = |owed: &Expected| match request.is_split {
+                true => owed.could_answer_part(&asked),
+                false => owed.could_answer(&asked),
+            };
+            self.0.iter().any(|owed| now < owed.until && could_answer(&owed.expected))
         })
     }
 

@@ -1,6 +1,7 @@
 //! The board's own inputs and outputs as an NDAM module.
 
 use super::LOCAL_IO;
+use jointbus_protocol::modbus::server::RegisterWriter;
 use jointbus_protocol::ndam9010::{ChannelError, Layout, Module};
 
 /// Values of the analog inputs.
@@ -34,15 +35,15 @@ impl Module for LocalIo {
         Ok(())
     }
 
-    fn analog_inputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
+    fn analog_inputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
         let analog = self.analog.ok_or(ChannelError::Failed)?;
-        values.iter_mut().zip(analog).for_each(|(place, value)| *place = value);
+        values.extend(analog.into_iter().skip(first.into()));
         Ok(())
     }
 
-    fn analog_outputs(&mut self, values: &mut [u16]) -> Result<(), ChannelError> {
-        values.fill(0);
-        Ok(())
+    fn analog_outputs(&mut self, _first: u8, _values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
+        // the layout has none
+        Err(ChannelError::Failed)
     }
 
     fn set_analog_outputs(&mut self, _first: u8, _values: &[u16]) -> Result<(), ChannelError> {

@@ -102,6 +102,13 @@ impl Listener {
         matches!(self, Self::Sliding(search) if search.has_leftovers())
     }
 
+    /// Looks anew, because what is wanted has changed.
+    pub(super) const fn start_over(&mut self) {
+        if let Self::Sliding(search) = self {
+            search.start_over();
+        }
+    }
+
     /// Forgets received bytes that belong to nothing; tells whether there were any.
     pub(super) fn discard(&mut self) -> bool {
         match self {

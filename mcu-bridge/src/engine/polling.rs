@@ -52,6 +52,22 @@ enum Progress {
     Due,
     /// On its bus.
     InFlight,
+    /// On its bus, and the next period has begun: it reads again as soon as this read is done.
+    Behind,
+}
+
+impl Progress {
+    const fn is_in_flight(self) -> bool {
+        matches!(self, Self::InFlight | Self::Behind)
+    }
+
+    /// What comes after the read on the bus.
+    const fn done(self) -> Self {
+        match self {
+            Self::Behind => Self::Due,
+            _ => Self::Idle,
+        }
+    }
 }
 
 /// A polling slot.
@@ -67,7 +83,7 @@ pub struct Slot {
     pub stamp: Instant,
     /// The newest sample.
     pub sample: Sample,
-    /// Periods in which the slot could not read because its bus, or its last read, was not done.
+    /// Periods that ended before the slot could read, because its bus, or its last read, was not done.
     pub missed: u32,
     /// Reads without an answer.
     pub failures: u32,
@@ -105,12 +121,15 @@ impl Slot {
         }
         let late = now.since(self.next).as_micros().checked_div(period.as_micros()).unwrap_or(0);
         self.next = self.next.after(period.times(late.saturating_add(1)));
-        let busy = u64::from(self.progress != Progress::Idle);
-        let missed = u32::try_from(late.saturating_add(busy)).unwrap_or(u32::MAX);
+        // a read that comes late, but within its period, is none that was missed
+        let (progress, ended) = match self.progress {
+            Progress::Idle => (Progress::Due, 0),
+            Progress::InFlight => (Progress::Behind, 0),
+            waiting => (waiting, 1),
+        };
+        self.progress = progress;
+        let missed = u32::try_from(late.saturating_add(ended)).unwrap_or(u32::MAX);
         self.missed = self.missed.wrapping_add(missed);
-        if self.progress == Progress::Idle {
-            self.progress = Progress::Due;
-        }
     }
 }
 
@@ -166,10 +185,10 @@ impl Polling {
 
     /// A sample came; its last byte or frame at `now`.
     pub(super) fn answered(&mut self, index: usize, body: &[u8], now: Instant) {
-        let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress == Progress::InFlight) else {
+        let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress.is_in_flight()) else {
             return;
         };
-        slot.progress = Progress::Idle;
+        slot.progress = slot.progress.done();
         if let Some(data) = body.get(nst::REPLY_HEADER..).and_then(|data| data.first_chunk()) {
             slot.sample = Sample::decode(data, SignEncoding::TwosComplement);
             slot.stamp = now;
@@ -180,8 +199,8 @@ impl Polling {
 
     /// A read had no answer, or was not sent.
     pub(super) fn failed(&mut self, index: usize) {
-        if let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress == Progress::InFlight) {
-            slot.progress = Progress::Idle;
+        if let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress.is_in_flight()) {
+            slot.progress = slot.progress.done();
             slot.failures = slot.failures.wrapping_add(1);
         }
     }
@@ -226,13 +245,31 @@ mod tests {
         slot.tick(at(1010));
         assert_eq!((slot.progress, slot.next, slot.missed), (Progress::Due, at(2000), 0));
         slot.tick(at(2000));
-        assert_eq!((slot.next, slot.missed), (at(3000), 1), "the last read is not done");
+        assert_eq!((slot.next, slot.missed), (at(3000), 1), "it had no chance to read");
         slot.progress = Progress::Idle;
         slot.tick(at(6500));
         assert_eq!(
             (slot.progress, slot.next, slot.missed),
             (Progress::Due, at(7000), 4),
             "3 ms without a look"
+        );
+    }
+
+    #[test]
+    fn a_read_that_begins_late_within_its_period_is_not_missed() {
+        let mut polling = Polling([Slot::default(); SLOTS]);
+        polling.set(0, Slot { progress: Progress::InFlight, ..Slot::new(1, 10, at(1000)) });
+        polling.tick(at(1000));
+        polling.answered(0, &[], at(1300));
+        assert_eq!(polling.0[0].progress, Progress::Due, "the read of the period that has begun");
+        polling.0[0].progress = Progress::InFlight;
+        polling.tick(at(2000));
+        polling.tick(at(3000));
+        polling.failed(0);
+        assert_eq!(
+            (polling.0[0].progress, polling.0[0].missed),
+            (Progress::Due, 1),
+            "a whole period passed on the bus"
         );
     }
 

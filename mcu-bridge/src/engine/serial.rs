@@ -167,8 +167,9 @@ impl SerialBus {
 
     /// Does what is due.
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        // the reply in flight may be half received: it has another place among the kinds now
         if self.backlog.owed.expire(now) {
-            self.discard(around);
+            self.listener.start_over();
         }
         self.end_open_reply(now, around);
         match self.flight.as_ref().map(|flight| &flight.phase) {

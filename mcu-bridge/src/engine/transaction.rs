@@ -9,7 +9,7 @@ use super::quarantine::Quarantine;
 use heapless::Vec;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
-use jointbus_protocol::nst;
+use jointbus_protocol::nst::{self, can};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// The reply that fits a request.
@@ -44,6 +44,16 @@ impl Expected {
             (Self::Nst(owed), Self::Nst(asked)) => owed == asked,
             _ => false,
         }
+    }
+
+    /// Whether it could be taken for the reply to a part of a request that CAN splits.
+    pub(super) fn could_answer_part(&self, request: &Self) -> bool {
+        let (Self::Nst(owed), Self::Nst(asked)) = (self, request) else { return false };
+        let longest = if asked.function().is_read() { can::READ_MAX } else { can::WRITE_MAX };
+        let (owed_length, length) = (usize::from(owed.length()), usize::from(asked.length()));
+        owed.address() == asked.address()
+            && owed.function() == asked.function()
+            && (owed_length == longest.min(length) || length.checked_rem(longest) == Some(owed_length))
     }
 
     pub(super) fn lengths(&self) -> [usize; 2] {
@@ -103,6 +113,8 @@ pub(super) struct Request {
     pub(super) hold_off: Duration,
     /// How often it may be sent again.
     pub(super) retries: u8,
+    /// Whether what is too long goes in parts.
+    pub(super) is_split: bool,
     /// When it is no longer to be sent.
     pub(super) expires: Instant,
     /// On a serial bus the whole frame, for Modbus ASCII address and data unit, on CAN the body.
@@ -129,6 +141,7 @@ impl Request {
             allowed: route.timeout(is_read),
             hold_off: route.hold_off(is_read),
             retries: if is_read { route.read_retries } else { 0 },
+            is_split: route.bus == Bus::Can,
             expires: now.after(Duration::from_millis(route.time_to_live_ms.into())),
             content: Vec::from_slice(content).ok()?,
         })

@@ -117,6 +117,37 @@ fn a_late_reply_is_given_to_no_other_request() {
 }
 
 #[test]
+fn a_reply_half_received_when_a_hold_off_ends_is_not_lost() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(180)), []);
+    assert_eq!(world.held_back.replace(Vec::new()).map(|late| late.len()), Some(2));
+    // another length need not wait; its reply is half there when the hold-off of the first ones ends, after some 205 ms
+    assert_eq!(world.nst(16, &[0x03, 0x02, 0x00, 0x03], Duration::from_millis(10)), []);
+    let (port, reply) = world.held_back.take().unwrap().remove(0);
+    let (first, second) = reply.split_at(4);
+    world.engine.receive(port, first, world.now);
+    world.pass(Duration::from_millis(30));
+    world.engine.receive(port, second, world.now);
+    assert_eq!(world.exchange(&[], SOON).len(), 8, "three bytes of data, and what is around them");
+    assert_eq!(world.engine.counters(port).timeouts, 2);
+}
+
+#[test]
+fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Can];
+    // parts of 126 and 24 bytes; the first one is asked for twice
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
+    // the first part of the next one has the same length, and waits until three times the timeout have passed
+    let sent = world.engine.counters(Port::Can).sent;
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 200], Duration::from_millis(50)), []);
+    assert_eq!(world.engine.counters(Port::Can).sent, sent);
+    world.pass(Duration::from_millis(45));
+    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
+}
+
+#[test]
 fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     // on the serial line, which babbles until the time to live has passed
     let mut world = World::new();

@@ -119,6 +119,12 @@ impl ExpectedReply {
         self.function
     }
 
+    /// Length that was asked.
+    #[must_use]
+    pub const fn length(&self) -> u8 {
+        self.length
+    }
+
     /// Length of the reply's body.
     #[must_use]
     pub fn body_length(&self) -> usize {

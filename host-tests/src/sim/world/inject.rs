@@ -1,34 +1,46 @@
 //! How each kind of fault is brought about on the buses.
 
-use super::can_wire::Disturbance;
-use super::fault::{Fault, Place};
-use super::line::Tamper;
-use super::moment::{MICROS, MILLIS, Moment, Nanos};
-use super::world::{BRIDGE, LINES, World};
+use super::{BRIDGE, TO_BUS_OFF, World};
+use crate::sim::can_wire::Disturbance;
+use crate::sim::fault::{Fault, Place};
+use crate::sim::line::Tamper;
+use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
+use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::segment;
 
-/// Longest that a device stays dead, a line cut, or a bus dominant.
-const LONGEST: Nanos = 400 * MILLIS;
-
-/// Bit errors in a row that take a fresh controller to bus-off.
-const TO_BUS_OFF: usize = 32;
+/// Longest that a device stays dead, a line cut, or a bus dominant: mostly, and now and then.
+const LONG: Nanos = 400 * MILLIS;
+const LONGEST: Nanos = 4000 * MILLIS;
 
 impl World<'_> {
     /// Brings a fault about, now or with the next frame that it concerns. The answer is when it is over, as far as that
     /// can be told by now; [`World::is_armed`] tells whether it still waits for a frame. Faults of the host's line are
     /// the host's business.
     pub fn inject(&mut self, fault: Fault) -> Moment {
+        let port = match fault {
+            Fault::ReplyException => Port::Rs485B,
+            _ => self.random.pick(&[Port::Rs485A, Port::Rs485B]),
+        };
+        self.inject_at(fault, port)
+    }
+
+    /// The same, on this RS485 line if it is a fault of such a line.
+    pub fn inject_at(&mut self, fault: Fault, port: Port) -> Moment {
         match fault.place() {
-            Place::Serial => {
-                let line = match fault {
-                    Fault::ReplyException => 1,
-                    _ => self.random.index(LINES),
-                };
-                self.inject_serial(fault, line)
-            }
+            Place::Serial => self.inject_serial(fault, usize::from(port == Port::Rs485B)),
             Place::Can => self.inject_can(fault),
             Place::Host => self.now,
+        }
+    }
+
+    /// Takes the power of a device, or one module of a station, until that moment.
+    pub fn set_absent(&mut self, port: Port, index: usize, until: Moment) {
+        match port {
+            Port::Host => {}
+            Port::Rs485A => self.lines[0].devices[index].absent = until,
+            Port::Rs485B => self.lines[1].devices[0].without = Some(index).filter(|_| until > self.now),
+            Port::Can => self.darken(&[index], until),
         }
     }
 
@@ -43,7 +55,7 @@ impl World<'_> {
     }
 
     fn inject_serial(&mut self, fault: Fault, line: usize) -> Moment {
-        let (now, span) = (self.now, self.random.between(MILLIS, LONGEST));
+        let (now, span) = (self.now, self.span());
         let byte = self.lines[line].line.byte_time();
         let index = self.random.index(8);
         match fault {
@@ -65,12 +77,14 @@ impl World<'_> {
             Fault::LineCut | Fault::LineBreak => {
                 if fault == Fault::LineBreak {
                     self.lines[line].noise.push(0);
+                    let intruder = self.lines[line].devices.len() + 1;
+                    self.lines[line].line.tamper(intruder, 0, Tamper::Framing);
                     self.enter_noise(line, now);
                 }
                 let end = now.after(span);
                 // the break itself is heard
                 let cut = if fault == Fault::LineBreak { now.after(byte) } else { now };
-                self.cut(line, cut, end);
+                self.lines[line].line.cut(cut, end);
                 return end;
             }
             Fault::DeviceDead => {
@@ -92,15 +106,17 @@ impl World<'_> {
         now
     }
 
-    fn cut(&mut self, line: usize, from: Moment, end: Moment) {
-        self.lines[line].line.cut(from, end);
+    /// How long something lasts.
+    const fn span(&mut self) -> Nanos {
+        let longest = if self.random.chance(100_000) { LONGEST } else { LONG };
+        self.random.between(MILLIS, longest)
     }
 
     fn inject_can(&mut self, fault: Fault) -> Moment {
-        let (now, span) = (self.now, self.random.between(MILLIS, LONGEST));
+        let (now, span) = (self.now, self.span());
         let sender = self.random.index(1 + self.nodes.len());
         let intruder = self.nodes.len() + 1;
-        let own = self.settings.network.port(jointbus_mcu_bridge::engine::config::Port::Can).node;
+        let own = self.settings.network.port(Port::Can).node;
         match fault {
             Fault::CanBit => {
                 let at = self.random.between(1, 120);
@@ -131,7 +147,10 @@ impl World<'_> {
                 self.hold_can(end);
                 return end;
             }
-            Fault::CanForeignTraffic | Fault::CanStandardFrames | Fault::CanForeignTransfer => {
+            Fault::CanForeignTraffic
+            | Fault::CanForeignFrames
+            | Fault::CanStandardFrames
+            | Fault::CanForeignTransfer => {
                 let frames = self.foreign_frames(fault, own);
                 let end = now.after(self.can.bits(160) * frames.len() as u64);
                 self.can.controllers[intruder].outbox.extend(frames);
@@ -156,7 +175,14 @@ impl World<'_> {
             Fault::CanForeignTraffic => (0..self.random.between(10, 300))
                 .filter_map(|_| {
                     // from node 0x40 and up to node 0x60 and up, all kinds of frames
-                    let id = 0x0040_6000 | (self.random.next() as u32 & 0x001F_1FFF);
+                    let id = 0x0040_6000 | (self.random.next() as u32 & 0x001F_0FFF);
+                    let length = self.random.index(9);
+                    Frame::data_frame(Id::Extended(id), &data[..length]).ok()
+                })
+                .collect(),
+            Fault::CanForeignFrames => (0..self.random.between(1, 20))
+                .filter_map(|_| {
+                    let id = 0x0040_0000 | u32::from(own) << 8 | (self.random.next() as u32 & 0x001F_00FF);
                     let length = self.random.index(9);
                     Frame::data_frame(Id::Extended(id), &data[..length]).ok()
                 })

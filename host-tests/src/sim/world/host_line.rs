@@ -1,0 +1,61 @@
+//! The line between the host and the bridge.
+
+use super::{Event, Notice, ToSend, World, micros};
+use crate::sim::recorder::Interface;
+
+impl World<'_> {
+    pub(super) fn host_goes_on(&mut self) {
+        if self.host_sending {
+            return;
+        }
+        match self.to_bridge.front() {
+            Some(ToSend::Byte(_) | ToSend::Unframed(_)) => {
+                self.host_sending = true;
+                self.agenda.enter(self.now.after(self.host_byte), Event::ToBridge);
+            }
+            Some(ToSend::Pause(span)) => {
+                self.host_sending = true;
+                let end = self.now.after(*span);
+                self.to_bridge.pop_front();
+                self.agenda.enter(end, Event::HostGoesOn);
+            }
+            None => {}
+        }
+    }
+
+    pub(super) fn end_byte_to_bridge(&mut self) {
+        let sent = self.to_bridge.pop_front();
+        if let Some(ToSend::Unframed(_)) = sent {
+            self.board.on_framing_error(0);
+        }
+        if let Some(ToSend::Byte(byte) | ToSend::Unframed(byte)) = sent {
+            self.uarts[0].queues.received(byte, micros(self.now));
+            self.interrupt();
+        }
+        self.host_sending = false;
+        self.host_goes_on();
+    }
+
+    pub(super) fn start_byte_to_host(&mut self) {
+        self.to_host = self.uarts[0].queues.next_byte();
+        self.uarts[0].sending = self.to_host.is_some();
+        if self.to_host.is_some() {
+            self.agenda.enter(self.now.after(self.host_byte), Event::ToHost);
+        }
+    }
+
+    pub(super) fn end_byte_to_host(&mut self) {
+        if let Some(byte) = self.to_host.take() {
+            self.notices.push_back(Notice::HostHears(byte));
+            if let Some(recorder) = &mut self.recorder {
+                recorder.bytes(Interface::Host, false, self.now, &[byte]);
+            }
+        }
+        self.start_byte_to_host();
+        // room in the queue, or the end of a transmission
+        if !self.uarts[0].sending {
+            self.uarts[0].queues.transmitted();
+            self.interrupt();
+        }
+    }
+}
