@@ -138,18 +138,18 @@ fn the_reply_to_0f_has_the_bit_address() {
     let range = Range::new(0x0200, 10);
     let request = Request::WriteMultipleCoils { range, data: &[0xCD, 0x01] };
     let function = request.function();
-    assert_eq!(ask(&mut module(), &request, &mut []), Response::WriteMultiple { function, range });
+    assert_eq!(ask(&mut module(), &request, &mut [0; 5]), Response::WriteMultiple { function, range });
     let request = Request::WriteMultipleCoils { range: Range::new(0x0020, 10), data: &[0xCD, 0x01] };
-    assert_eq!(ask(&mut module(), &request, &mut []), refusal(&request), "there are inputs");
+    assert_eq!(ask(&mut module(), &request, &mut [0; 5]), refusal(&request), "there are inputs");
 }
 
 fn analog_outputs_are_written_at_0060() {
     let mut module = module();
     let write = |start| Request::WriteMultipleRegisters { range: Range::new(start, 1), data: &[0x12, 0x34] };
-    ask(&mut module, &write(0x0020), &mut []);
+    ask(&mut module, &write(0x0020), &mut [0; 5]);
     assert_eq!((module.outputs, module.analog_outputs[0]), (0x1234, 0), "digital outputs are at 0x0020");
     module.outputs = 0;
-    ask(&mut module, &write(0x0060), &mut []);
+    ask(&mut module, &write(0x0060), &mut [0; 5]);
     assert_eq!((module.outputs, module.analog_outputs[0]), (0, 0x1234));
 }
 
@@ -160,7 +160,7 @@ fn bits_have_codes_01_02_05_0f() {
         ("05 02 00 FF 00", "05 02 00 FF 00"),
         ("0F 02 00 00 01 01 01", "0F 02 00 00 01"),
     ] {
-        let (pdu, mut data, mut buffer) = (bytes(pdu), [0; 8], [0; 8]);
+        let (pdu, mut data, mut buffer) = (bytes(pdu), [0; 10], [0; 8]);
         let response = ask(&mut module(), &Request::decode(&pdu).unwrap(), &mut data);
         let mut writer = jointbus_protocol::wire::Writer::new(&mut buffer);
         response.encode(&mut writer).unwrap();
@@ -169,14 +169,14 @@ fn bits_have_codes_01_02_05_0f() {
     // 15 as a hexadecimal number is another code, which nothing here has
     let request = Request::decode(&[0x15, 0, 0]).unwrap();
     let refused = Response::exception(request.function(), ExceptionCode::IllegalFunction);
-    assert_eq!(ask(&mut module(), &request, &mut []), refused);
+    assert_eq!(ask(&mut module(), &request, &mut [0; 5]), refused);
 }
 
 fn a_register_has_two_bytes() {
     let mut module = module();
     module.inputs = 0x00A5;
     let request = Request::ReadInputRegisters(Range::new(0, 1));
-    let mut data = [0; 8];
+    let mut data = [0; 10];
     assert_eq!(
         ask(&mut module, &request, &mut data),
         Response::Read { function: request.function(), data: &[0x00, 0xA5] }
@@ -193,7 +193,7 @@ fn the_area_ends_at_007f_and_a_module_has_16() {
         let request = Request::WriteSingleRegister { address, value: 1 };
         let written = Response::WriteSingle { function: request.function(), address, value: 1 };
         let expected = if address < 0x0070 { written } else { refusal(&request) };
-        assert_eq!(ask(&mut module, &request, &mut []), expected, "{address:#06x}");
+        assert_eq!(ask(&mut module, &request, &mut [0; 5]), expected, "{address:#06x}");
     }
     assert_eq!(module.analog_outputs, [1; 16]);
 }
@@ -202,11 +202,11 @@ fn four_registers_are_four_channels() {
     let mut module = module();
     let data = [1u16, 2, 3, 4].map(u16::to_be_bytes).concat();
     let request = Request::WriteMultipleRegisters { range: Range::new(0x0060, 4), data: &data };
-    ask(&mut module, &request, &mut []);
+    ask(&mut module, &request, &mut [0; 5]);
     assert_eq!(module.analog_outputs[..5], [1, 2, 3, 4, 0]);
     let short = Request::WriteMultipleRegisters { range: Range::new(0x0060, 5), data: &data };
     let refused = Response::exception(short.function(), ExceptionCode::IllegalDataValue);
-    assert_eq!(ask(&mut module, &short, &mut []), refused);
+    assert_eq!(ask(&mut module, &short, &mut [0; 5]), refused);
 }
 
 fn units_end_at_247() {
@@ -221,7 +221,7 @@ fn the_table_at_0060_is_analog_outputs() {
     let mut module = module();
     module.analog_outputs[0] = 0x0600;
     let request = Request::ReadHoldingRegisters(Range::new(0x0060, 1));
-    let mut data = [0; 8];
+    let mut data = [0; 10];
     assert_eq!(
         ask(&mut module, &request, &mut data),
         Response::Read { function: request.function(), data: &[0x06, 0x00] }
