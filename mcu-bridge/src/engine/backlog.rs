@@ -1,57 +1,131 @@
 //! What waits for a bus, in which order, and which replies its devices still owe.
 
 use super::counters::count;
+use super::host::FRAME_MAX;
+use super::polling;
 use super::quarantine::Admission;
-use super::transaction::{Expected, Request, Surroundings};
+use super::transaction::{Expected, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::time::Instant;
 
-/// The requests that wait for a bus, and the replies that its devices owe.
+/// How many requests wait for a bus, beside the one in flight.
+const QUEUE: usize = 4;
+
+/// No further request can wait for the bus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct QueueFull;
+
+/// The bytes of a request: on a serial bus the whole frame, for Modbus ASCII address and data unit, on CAN the body.
+pub(super) type Content = Vec<u8, FRAME_MAX>;
+
+/// Where a [`Backlog`] keeps the bytes of a request until it is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place(u8);
+
+impl Place {
+    fn free(self, kept: &mut [Kept]) {
+        if let Some(kept) = kept.get_mut(usize::from(self.0)) {
+            kept.is_taken = false;
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Kept {
+    is_taken: bool,
+    content: Content,
+}
+
+/// The requests of a bus, and the replies that its devices owe.
 #[derive(Debug)]
 pub(super) struct Backlog {
     queue: Queue,
+    /// One for each that waits, one for that in flight.
+    kept: [Kept; QUEUE + 1],
     pub(super) owed: OwedReplies,
 }
 
 impl Backlog {
     pub(super) const fn new() -> Self {
-        Self { queue: Queue::new(), owed: OwedReplies::new() }
+        const FREE: Kept = Kept { is_taken: false, content: Vec::new() };
+        Self { queue: Queue::new(), kept: [FREE; QUEUE + 1], owed: OwedReplies::new() }
     }
 
-    /// Takes a request from the host.
-    pub(super) fn push(&mut self, request: Request) -> Result<(), QueueFull> {
-        self.queue.push(request)
+    /// Takes a request from the host, whose bytes `write` writes.
+    pub(super) fn push(
+        &mut self,
+        request: &Request,
+        write: impl FnOnce(&mut Content),
+    ) -> Result<(), QueueFull> {
+        if self.queue.0.is_full() {
+            return Err(QueueFull);
+        }
+        let place = self.keep(write).ok_or(QueueFull)?;
+        self.queue.0.push(Waiting { request: *request, place }).map_err(|_| QueueFull)
+    }
+
+    fn keep(&mut self, write: impl FnOnce(&mut Content)) -> Option<Place> {
+        let (index, kept) = (0..).zip(&mut self.kept).find(|(_, kept)| !kept.is_taken)?;
+        kept.is_taken = true;
+        kept.content.clear();
+        write(&mut kept.content);
+        Some(Place(index))
+    }
+
+    /// The bytes of a request.
+    pub(super) fn content(&self, place: Place) -> &[u8] {
+        self.kept.get(usize::from(place.0)).map_or(&[], |kept| &kept.content)
+    }
+
+    /// A request is done.
+    pub(super) fn free(&mut self, place: Place) {
+        place.free(&mut self.kept);
     }
 
     /// The next request for the bus: the host's go before the bridge's own polling.
-    pub(super) fn next(&mut self, now: Instant, around: &mut Surroundings<'_>) -> Option<Request> {
+    pub(super) fn next(&mut self, now: Instant, around: &mut Surroundings<'_>) -> Option<Transaction> {
         if self.owed.is_full() {
             return None;
         }
         if around.host.output.has_room()
-            && let Some(request) = self.queue.next(&self.owed, now)
+            && let Some(Waiting { request, place }) = self.queue.next(&self.owed, now)
         {
             around.host.output.reserve();
-            return Some(request);
+            return Some(Transaction::new(request, place));
         }
         loop {
             let held = |request: &Request| self.owed.holds(request, now);
             let mut request = around.polling.next(around.bus, around.network, now, held)?;
             match around.quarantine.admit(request.unit, false, around.limits, now) {
-                Admission::Normal => return Some(request),
-                Admission::Probe => {
-                    request.become_probe(around.limits);
-                    return Some(request);
+                Admission::Normal => {}
+                Admission::Probe => request.become_probe(around.limits),
+                Admission::Refused => {
+                    // no longer due, so the next look finds another slot or none
+                    around.fail(&request);
+                    continue;
                 }
-                // no longer due, so the next look finds another slot or none
-                Admission::Refused => around.fail(&request),
             }
+            let Some(place) = self.keep(|content| polling::read(&request, content)) else {
+                // there is a place for each that waits and one more
+                around.fail(&request);
+                return None;
+            };
+            return Some(Transaction::new(request, place));
         }
     }
 
     /// Drops the requests that can no longer be sent in time.
     pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        self.queue.expire(now, around);
+        let Self { queue, kept, .. } = self;
+        queue.0.retain(|waiting| {
+            let late = now >= waiting.request.expires;
+            if late {
+                count(&mut around.counters.expired);
+                around.fail(&waiting.request);
+                waiting.place.free(kept);
+            }
+            !late
+        });
     }
 
     /// When the next request or reply is given up.
@@ -68,38 +142,34 @@ impl Backlog {
 
     /// Drops everything.
     pub(super) fn clear(&mut self, around: &mut Surroundings<'_>) {
-        self.queue.clear(around);
+        self.queue.0.iter().for_each(|waiting| around.fail(&waiting.request));
+        self.queue.0.clear();
+        self.kept.iter_mut().for_each(|kept| kept.is_taken = false);
         self.owed = OwedReplies::new();
     }
 }
 
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    request: Request,
+    place: Place,
+}
+
 /// Requests that wait for a bus.
 #[derive(Debug)]
-struct Queue(Vec<Request, QUEUE>);
-
-/// No further request can wait for the bus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct QueueFull;
-
-/// How many requests wait for a bus, beside the one in flight.
-const QUEUE: usize = 4;
+struct Queue(Vec<Waiting, QUEUE>);
 
 impl Queue {
     const fn new() -> Self {
         Self(Vec::new())
     }
 
-    /// Takes a request.
-    fn push(&mut self, request: Request) -> Result<(), QueueFull> {
-        self.0.push(request).map_err(|_| QueueFull)
-    }
-
     /// Takes out the next request: writes before reads of other units, in order for each unit, also behind one that
     /// is held because its unit owes a reply.
-    fn next(&mut self, owed: &OwedReplies, now: Instant) -> Option<Request> {
+    fn next(&mut self, owed: &OwedReplies, now: Instant) -> Option<Waiting> {
         let mut chosen = None;
-        for (index, request) in self.0.iter().enumerate() {
-            let behind = self.0.iter().take(index).any(|earlier| earlier.unit == request.unit);
+        for (index, Waiting { request, .. }) in self.0.iter().enumerate() {
+            let behind = self.0.iter().take(index).any(|earlier| earlier.request.unit == request.unit);
             if behind || owed.holds(request, now) {
                 continue;
             }
@@ -113,27 +183,9 @@ impl Queue {
         chosen.filter(|index| *index < self.0.len()).map(|index| self.0.remove(index))
     }
 
-    /// Drops what can no longer be sent in time.
-    fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        self.0.retain(|request| {
-            let late = now >= request.expires;
-            if late {
-                count(&mut around.counters.expired);
-                around.fail(request);
-            }
-            !late
-        });
-    }
-
-    /// Drops everything.
-    fn clear(&mut self, around: &mut Surroundings<'_>) {
-        self.0.iter().for_each(|request| around.fail(request));
-        self.0.clear();
-    }
-
     /// When the first request expires.
     fn deadline(&self) -> Option<Instant> {
-        self.0.iter().map(|request| request.expires).min()
+        self.0.iter().map(|waiting| waiting.request.expires).min()
     }
 }
 
@@ -225,12 +277,18 @@ mod tests {
         let asked = nst::Request::Command { function, register: 0, length: 1 };
         let expected = Expected::Nst(nst::serial::ExpectedReply::new(unit, &asked));
         let start = Instant::from_micros(0);
-        Request::new(unit, function.code(), Some(expected), (Some(number), route), &[unit], start).unwrap()
+        Request::new(unit, function.code(), Some(expected), (Some(number), route), start)
     }
 
     fn order(queue: &mut Queue, owed: &OwedReplies) -> std::vec::Vec<(u8, u8)> {
         let now = Instant::from_micros(0);
-        std::iter::from_fn(|| queue.next(owed, now)).map(|request| (request.unit, request.function)).collect()
+        std::iter::from_fn(|| queue.next(owed, now))
+            .map(|it| (it.request.unit, it.request.function))
+            .collect()
+    }
+
+    fn push(queue: &mut Queue, unit: u8, function: nst::FunctionCode) -> Result<(), Waiting> {
+        queue.0.push(Waiting { request: request(unit, function), place: Place(0) })
     }
 
     const READ: nst::FunctionCode = nst::FunctionCode::Read;
@@ -240,9 +298,9 @@ mod tests {
     fn writes_go_first_and_units_keep_their_order() {
         let mut queue = Queue::new();
         for (unit, function) in [(1, READ), (1, ZERO), (2, READ), (3, ZERO)] {
-            queue.push(request(unit, function)).unwrap();
+            push(&mut queue, unit, function).unwrap();
         }
-        assert!(queue.push(request(4, READ)).is_err(), "four can wait");
+        assert!(push(&mut queue, 4, READ).is_err(), "four can wait");
         let expected = [(3, 0x12), (1, 3), (1, 0x12), (2, 3)];
         assert_eq!(order(&mut queue, &OwedReplies::new()), expected);
     }
@@ -251,7 +309,7 @@ mod tests {
     fn a_held_request_holds_its_unit_and_no_other() {
         let mut queue = Queue::new();
         for (unit, function) in [(1, READ), (1, ZERO), (2, READ)] {
-            queue.push(request(unit, function)).unwrap();
+            push(&mut queue, unit, function).unwrap();
         }
         let mut owed = OwedReplies::new();
         let owing = Request { hold_off: Duration::from_micros(10), ..request(1, READ) };

@@ -1,6 +1,6 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
-use super::backlog::{Backlog, QueueFull};
+use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
 use super::host::FRAME_MAX;
 use super::transaction::{Expected, Request, Surroundings, Transaction};
@@ -52,8 +52,6 @@ struct Flight {
     /// Bytes of the request that former parts moved.
     moved: u8,
     part: Part,
-    /// Data of the parts read so far.
-    joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
 }
 
 impl Flight {
@@ -63,9 +61,8 @@ impl Flight {
 }
 
 /// One transfer of a request.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 struct Part {
-    body: Vec<u8, { can::TRANSFER_MAX }>,
     expected: ExpectedReply,
     length: u8,
 }
@@ -75,6 +72,10 @@ struct Part {
 pub(super) struct CanBus {
     backlog: Backlog,
     flight: Option<Flight>,
+    /// The transfer under way.
+    body: Vec<u8, { can::TRANSFER_MAX }>,
+    /// Data of the parts read so far.
+    joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
     reassembler: Reassembler<CONTEXTS>,
     node: u8,
     /// Frames that the controller has and that nobody acknowledged so far.
@@ -89,6 +90,8 @@ impl CanBus {
         Self {
             backlog: Backlog::new(),
             flight: None,
+            body: Vec::new(),
+            joined: Vec::new(),
             reassembler: Reassembler::new(node, FRAME_PAUSE),
             node,
             outstanding: 0,
@@ -123,11 +126,12 @@ impl CanBus {
     /// Takes a request.
     pub(super) fn push(
         &mut self,
-        request: Request,
+        request: &Request,
+        write: impl FnOnce(&mut Content),
         now: Instant,
         around: &mut Surroundings<'_>,
     ) -> Result<(), QueueFull> {
-        let result = self.backlog.push(request);
+        let result = self.backlog.push(request, write);
         self.take_next(now, around);
         result
     }
@@ -142,7 +146,7 @@ impl CanBus {
         let flight = self.flight.as_mut()?;
         let Phase::Sending { handed, limit } = flight.phase else { return None };
         let destination = flight.part.expected.address();
-        let frame = can::segment(self.node, destination, &flight.part.body).ok()?.nth(handed)?;
+        let frame = can::segment(self.node, destination, &self.body).ok()?.nth(handed)?;
         flight.phase = Phase::Sending { handed: handed.saturating_add(1), limit };
         self.outstanding = self.outstanding.saturating_add(1);
         Some(frame)
@@ -209,19 +213,20 @@ impl CanBus {
             count(&mut self.quirks);
         }
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
-        let _ = flight.joined.extend_from_slice(data);
+        let _ = self.joined.extend_from_slice(data);
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
         let late = core::mem::take(&mut transaction.unanswered);
         self.backlog.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
-        match following_part(&transaction.request, flight.moved) {
+        let content = self.backlog.content(transaction.place);
+        match following_part(content, &transaction.request, flight.moved, &mut self.body) {
             Some(part) => {
                 flight.part = part;
                 transaction.restart();
                 flight.phase = Phase::Ready;
             }
             None => {
-                answer(flight, sent, now, around);
+                answer(flight, &self.joined, sent, now, around);
                 self.finish(around);
             }
         }
@@ -263,7 +268,7 @@ impl CanBus {
     pub(super) fn reset(&mut self, node: u8, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
             around.fail(&flight.transaction.request);
-            flight.transaction.end(None, &mut self.backlog.owed, around);
+            flight.transaction.end(None, &mut self.backlog, around);
         }
         self.backlog.clear(around);
         self.node = node;
@@ -272,20 +277,16 @@ impl CanBus {
 
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if self.flight.is_none()
-            && let Some(request) = self.backlog.next(now, around)
+            && let Some(transaction) = self.backlog.next(now, around)
         {
-            match part(&request, 0) {
+            self.joined.clear();
+            let content = self.backlog.content(transaction.place);
+            match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
-                    self.flight = Some(Flight {
-                        transaction: Transaction::new(request),
-                        phase: Phase::Ready,
-                        moved: 0,
-                        part,
-                        joined: Vec::new(),
-                    });
+                    self.flight = Some(Flight { transaction, phase: Phase::Ready, moved: 0, part });
                 }
                 // what was judged at the door always has a first part
-                None => Transaction::new(request).end(None, &mut self.backlog.owed, around),
+                None => transaction.end(None, &mut self.backlog, around),
             }
         }
         let Some(flight) = &mut self.flight else { return };
@@ -308,7 +309,7 @@ impl CanBus {
         if self.outstanding > 0 {
             return;
         }
-        if handed < frames(&flight.part.body) {
+        if handed < self.body.len().div_ceil(8) {
             // the last frame on the wire was acknowledged, the others were never handed over
             if flight.is_aborting() {
                 self.not_sent(around);
@@ -318,7 +319,8 @@ impl CanBus {
         }
         if flight.transaction.request.expected.is_none() {
             flight.moved = flight.moved.saturating_add(flight.part.length);
-            match following_part(&flight.transaction.request, flight.moved) {
+            let content = self.backlog.content(flight.transaction.place);
+            match following_part(content, &flight.transaction.request, flight.moved, &mut self.body) {
                 Some(part) => {
                     flight.part = part;
                     flight.phase = Phase::Ready;
@@ -361,40 +363,44 @@ impl CanBus {
     fn finish(&mut self, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
             let expected = Some(Expected::Nst(flight.part.expected));
-            flight.transaction.end(expected, &mut self.backlog.owed, around);
+            flight.transaction.end(expected, &mut self.backlog, around);
         }
     }
 }
 
-/// Frames that a body takes.
-const fn frames(body: &[u8]) -> usize {
-    body.len().div_ceil(8)
+/// The transfer that follows those that moved so many bytes, put into `body`; `None` when all has been moved.
+fn following_part(
+    content: &[u8],
+    request: &Request,
+    moved: u8,
+    body: &mut Vec<u8, { can::TRANSFER_MAX }>,
+) -> Option<Part> {
+    let whole = nst::Request::decode(content).ok()?;
+    if moved >= whole.length() { None } else { part(content, request, moved, body) }
 }
 
-/// The transfer that follows those that moved so many bytes; `None` when all has been moved.
-fn following_part(request: &Request, moved: u8) -> Option<Part> {
-    let whole = nst::Request::decode(&request.content).ok()?;
-    if moved >= whole.length() { None } else { part(request, moved) }
-}
-
-/// The transfer that starts behind so many bytes of a request.
-fn part(request: &Request, moved: u8) -> Option<Part> {
-    let part = can::part(&nst::Request::decode(&request.content).ok()?, moved)?;
+/// The transfer that starts behind so many bytes of a request, put into `body`.
+fn part(
+    content: &[u8],
+    request: &Request,
+    moved: u8,
+    body: &mut Vec<u8, { can::TRANSFER_MAX }>,
+) -> Option<Part> {
+    let part = can::part(&nst::Request::decode(content).ok()?, moved)?;
     let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
-    let mut body = Vec::new();
     body.resize(can::TRANSFER_MAX, 0).ok()?;
-    let mut writer = Writer::new(&mut body);
+    let mut writer = Writer::new(body);
     part.encode(&mut writer).ok()?;
     let length = writer.finish().len();
     body.truncate(length);
-    Some(Part { body, expected: ExpectedReply::new(remote, &part), length: part.length() })
+    Some(Part { expected: ExpectedReply::new(remote, &part), length: part.length() })
 }
 
 /// Joins the parts' replies into the reply to the whole request.
-fn answer(flight: &Flight, sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
+fn answer(flight: &Flight, joined: &[u8], sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
     let function = FunctionCode::from_code(flight.transaction.request.function);
     let reply = if function.is_read() {
-        Reply::Data { function, data: &flight.joined }
+        Reply::Data { function, data: joined }
     } else {
         Reply::Acknowledge { function, length: flight.moved }
     };

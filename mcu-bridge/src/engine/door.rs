@@ -1,42 +1,45 @@
 //! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
 
 use super::Engine;
-use super::backlog::QueueFull;
-use super::config::{Bus, Port, Protocol, Route};
+use super::backlog::{Content, QueueFull};
+use super::config::{Bus, Port, Route};
 use super::counters::count;
 use super::host::{FRAME_MAX, HostFormat};
+use super::listener::Spelling;
 use super::quarantine::Admission;
 use super::transaction::{Expected, Request};
-use heapless::Vec;
 use jointbus_protocol::deframe::{Event, Fault, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
-use jointbus_protocol::wire::Writer;
 use jointbus_protocol::{checksum, ndam9010, nst};
 
 impl Engine {
     /// Takes bytes from the host.
     pub(super) fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
-        while let Some(event) = self.host.feed(&HostFormat(&self.live), &mut bytes, now).map(apart) {
-            self.take(event, now);
+        let mut frame = [0; FRAME_MAX];
+        while let Some(event) =
+            self.host.feed(&HostFormat(&self.live), &mut bytes, now).map(|event| apart(event, &mut frame))
+        {
+            self.take(event, &frame, now);
         }
     }
 
     /// Notices the silence after a burst from the host.
     pub(super) fn end_host_burst(&mut self, now: Instant) {
-        let event = self.host.poll(&HostFormat(&self.live), now).map(apart);
+        let mut frame = [0; FRAME_MAX];
+        let event = self.host.poll(&HostFormat(&self.live), now).map(|event| apart(event, &mut frame));
         if let Some(event) = event {
-            self.take(event, now);
+            self.take(event, &frame, now);
         }
     }
 
-    fn take(&mut self, event: Result<Vec<u8, FRAME_MAX>, (u8, Fault)>, now: Instant) {
+    fn take(&mut self, event: Result<usize, (u8, Fault)>, frame: &[u8], now: Instant) {
         let [counters, ..] = &mut self.counters;
         match event {
-            Ok(frame) => {
+            Ok(length) => {
                 count(&mut counters.received);
                 self.last_request = Some(now);
-                self.request(&frame, now);
+                self.request(frame.get(..length).unwrap_or(&[]), now);
             }
             Err((unit, fault)) => {
                 let known =
@@ -58,28 +61,28 @@ impl Engine {
         let Some((&unit, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else { return };
         match unit {
             modbus::BROADCAST => {
-                self.broadcast_modbus(frame, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
+                self.broadcast_modbus(unit, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
             }
             nst::BROADCAST => {
                 let whole = FrameLength::Exactly(frame.len());
                 if nst::serial::request_length(frame) == whole {
-                    self.broadcast_nst(frame, body, now);
+                    self.broadcast_nst(body, now);
                 }
                 if rtu::request_length(frame) == whole {
-                    self.broadcast_modbus(frame, body, &[Bus::LocalOutputs], now);
+                    self.broadcast_modbus(unit, body, &[Bus::LocalOutputs], now);
                 }
             }
             _ => match self.live.route(unit) {
                 Some((number, route)) if route.protocol.is_nst() => {
-                    self.request_nst(unit, number, *route, frame, body, now);
+                    self.request_nst(unit, number, *route, body, now);
                 }
-                Some((number, route)) => self.request_modbus(unit, number, *route, frame, body, now),
+                Some((number, route)) => self.request_modbus(unit, number, *route, body, now),
                 None => {}
             },
         }
     }
 
-    fn request_nst(&mut self, unit: u8, number: u8, route: Route, frame: &[u8], body: &[u8], now: Instant) {
+    fn request_nst(&mut self, unit: u8, number: u8, route: Route, body: &[u8], now: Instant) {
         let Ok(asked) = nst::Request::decode(body) else { return };
         let is_write = !matches!(asked.function(), nst::FunctionCode::Connect) && !asked.function().is_read();
         if route.refuse_writes && is_write {
@@ -87,20 +90,13 @@ impl Engine {
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Nst(nst::serial::ExpectedReply::new(remote, &asked));
-        let mut buffer = [0; FRAME_MAX];
-        let content = match route.bus {
-            Bus::Can => body,
-            _ => readdress(frame, remote, &mut buffer),
-        };
         let function = asked.function().code();
-        let request = Request::new(unit, function, Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request {
-            self.admit(&route, request, now);
-        }
+        let request = Request::new(unit, function, Some(expected), (Some(number), &route), now);
+        self.admit(&route, request, body, now);
     }
 
     /// Hands a request to its bus, unless its unit is in quarantine or the queue is full.
-    fn admit(&mut self, route: &Route, mut request: Request, now: Instant) {
+    fn admit(&mut self, route: &Route, mut request: Request, body: &[u8], now: Instant) {
         let (unit, function) = (request.unit, request.function);
         let waits = match route.bus {
             Bus::Rs485A => self.rs485_a.holds(&request, now),
@@ -113,7 +109,10 @@ impl Engine {
                 if admission == Admission::Probe {
                     request.become_probe(&self.limits);
                 }
-                self.send(route.bus, request, now).err().map(|QueueFull| ExceptionCode::ServerDeviceBusy)
+                let remote = route.remote_of(unit);
+                self.send(route, &request, remote, body, now)
+                    .err()
+                    .map(|QueueFull| ExceptionCode::ServerDeviceBusy)
             }
         };
         if let Some(exception) = refusal {
@@ -121,15 +120,7 @@ impl Engine {
         }
     }
 
-    fn request_modbus(
-        &mut self,
-        unit: u8,
-        number: u8,
-        route: Route,
-        frame: &[u8],
-        body: &[u8],
-        now: Instant,
-    ) {
+    fn request_modbus(&mut self, unit: u8, number: u8, route: Route, body: &[u8], now: Instant) {
         let asked = match modbus::Request::decode(body) {
             Ok(asked) => asked,
             Err(error) => {
@@ -147,13 +138,8 @@ impl Engine {
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
-        let mut buffer = [0; FRAME_MAX];
-        let content = on_bus(&route, readdress(frame, remote, &mut buffer));
-        let request =
-            Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
-        if let Some(request) = request {
-            self.admit(&route, request, now);
-        }
+        let request = Request::new(unit, function.code(), Some(expected), (Some(number), &route), now);
+        self.admit(&route, request, body, now);
     }
 
     /// Answers for one of the board's own units.
@@ -174,15 +160,13 @@ impl Engine {
     }
 
     /// A broadcast of Modbus: writes only, never answered.
-    fn broadcast_modbus(&mut self, frame: &[u8], body: &[u8], to: &[Bus], now: Instant) {
+    fn broadcast_modbus(&mut self, address: u8, body: &[u8], to: &[Bus], now: Instant) {
         let Ok(asked) = modbus::Request::decode(body) else { return };
         if asked.is_read() {
             return self.refuse(modbus::BROADCAST, None);
         }
-        let routes = self.live.routes;
         for bus in to {
-            let row = routes.iter().find(|row| row.is_used() && row.bus == *bus && !row.protocol.is_nst());
-            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
+            let Some(row) = self.broadcast_row(*bus, false) else { continue };
             // function code, address, and value or quantity: nobody gets to see it
             let mut unseen = [0; 5];
             match bus {
@@ -192,46 +176,59 @@ impl Engine {
                 Bus::LocalOutputs => {
                     let _ = self.outputs.dispatch(&asked, &mut unseen);
                 }
-                _ => self.send_broadcast(*bus, asked.function().code(), row, on_bus(row, frame), now),
+                _ => self.send_broadcast(&row, asked.function().code(), address, body, now),
             }
         }
     }
 
     /// A broadcast of NST: writes and commands only, never answered.
-    fn broadcast_nst(&mut self, frame: &[u8], body: &[u8], now: Instant) {
+    fn broadcast_nst(&mut self, body: &[u8], now: Instant) {
         let Ok(asked) = nst::Request::decode(body) else { return };
         if asked.function().is_read() {
             return self.refuse(nst::BROADCAST, None);
         }
-        let routes = self.live.routes;
         for bus in [Bus::Rs485A, Bus::Rs485B, Bus::Can] {
-            let row = routes.iter().find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst());
-            let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
-            let content = if bus == Bus::Can { body } else { frame };
-            self.send_broadcast(bus, asked.function().code(), row, content, now);
+            if let Some(row) = self.broadcast_row(bus, true) {
+                self.send_broadcast(&row, asked.function().code(), nst::BROADCAST, body, now);
+            }
         }
     }
 
-    fn send_broadcast(&mut self, bus: Bus, function: u8, row: &Route, content: &[u8], now: Instant) {
-        let request = Request::new(nst::BROADCAST, function, None, (None, row), content, now);
-        if let Some(request) = request
-            && self.send(bus, request, now).is_err()
-        {
+    /// The first route of a bus in that dialect, unless it refuses writes.
+    fn broadcast_row(&self, bus: Bus, is_nst: bool) -> Option<Route> {
+        let mut rows = self.live.routes.iter();
+        let row =
+            rows.find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst() == is_nst).copied();
+        row.filter(|row| !row.refuse_writes)
+    }
+
+    fn send_broadcast(&mut self, row: &Route, function: u8, address: u8, body: &[u8], now: Instant) {
+        let request = Request::new(nst::BROADCAST, function, None, (None, row), now);
+        if self.send(row, &request, address, body, now).is_err() {
             self.refuse(nst::BROADCAST, None);
         }
     }
 
-    /// Hands a request to its bus; the board's own units have no queue.
-    fn send(&mut self, bus: Bus, request: Request, now: Instant) -> Result<(), QueueFull> {
-        match bus {
+    /// Hands a request to the bus of a route; the board's own units have no queue.
+    fn send(
+        &mut self,
+        route: &Route,
+        request: &Request,
+        address: u8,
+        body: &[u8],
+        now: Instant,
+    ) -> Result<(), QueueFull> {
+        let spelling = Spelling::of(route);
+        let write = |content: &mut Content| spelling.write(address, body, content);
+        match route.bus {
             Bus::Rs485A | Bus::Rs485B => {
-                let port = if bus == Bus::Rs485A { Port::Rs485A } else { Port::Rs485B };
+                let port = if route.bus == Bus::Rs485A { Port::Rs485A } else { Port::Rs485B };
                 let Some((bus, mut around)) = self.serial_parts(port) else { return Err(QueueFull) };
-                bus.push(request, now, &mut around)
+                bus.push(request, write, now, &mut around)
             }
             Bus::Can => {
                 let (can, mut around) = self.can_parts();
-                can.push(request, now, &mut around)
+                can.push(request, write, now, &mut around)
             }
             Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Err(QueueFull),
         }
@@ -247,29 +244,15 @@ impl Engine {
     }
 }
 
-/// What came out of the host's bytes, apart from the deframer: a frame, or the unit and the fault of a burst.
-fn apart(event: Event<'_>) -> Result<Vec<u8, FRAME_MAX>, (u8, Fault)> {
+/// What came out of the host's bytes, apart from the deframer: the length of the frame, copied to `to`, or the unit and
+/// the fault of a burst.
+fn apart(event: Event<'_>, to: &mut [u8; FRAME_MAX]) -> Result<usize, (u8, Fault)> {
     match event {
-        // the deframer's frames are never longer
-        Event::Frame(frame) => Ok(Vec::from_slice(frame).unwrap_or_default()),
+        Event::Frame(frame) => {
+            // the deframer's frames are never longer
+            to.iter_mut().zip(frame).for_each(|(place, byte)| *place = *byte);
+            Ok(frame.len())
+        }
         Event::Dropped { fault, burst } => Err((burst.first().copied().unwrap_or(0), fault)),
     }
-}
-
-/// What a bus is handed of a Modbus frame: ASCII has a checksum of its own.
-fn on_bus<'f>(route: &Route, frame: &'f [u8]) -> &'f [u8] {
-    match route.protocol {
-        Protocol::ModbusAscii => checksum::verify(frame).unwrap_or(frame),
-        _ => frame,
-    }
-}
-
-/// The same frame for another address.
-fn readdress<'b>(frame: &[u8], address: u8, buffer: &'b mut [u8; FRAME_MAX]) -> &'b [u8] {
-    let content = checksum::verify(frame).and_then(|content| content.get(1..)).unwrap_or(&[]);
-    let mut writer = Writer::new(buffer);
-    // it had room before
-    let _ =
-        writer.u8(address).and_then(|()| writer.slice(content)).and_then(|()| checksum::seal(&mut writer));
-    writer.finish()
 }

@@ -1,6 +1,7 @@
 //! How a serial bus spells a request on the wire, and how it finds the reply in what it hears.
 
-use super::backlog::{OWED, OwedReplies};
+use super::backlog::{Content, OWED, OwedReplies};
+use super::config::{Bus, Protocol, Route};
 use super::host::FRAME_MAX;
 use super::transaction::Expected;
 use heapless::Vec;
@@ -135,6 +136,40 @@ fn content(frame: &[u8]) -> &[u8] {
 }
 
 const _: () = assert!(checksum::CRC_LENGTH == 2);
+
+/// What of a frame a bus is handed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Spelling {
+    /// Address, body and CRC.
+    Sealed,
+    /// Address and body: Modbus ASCII has a checksum of its own.
+    Addressed,
+    /// The body alone: on CAN the identifier names the node.
+    Body,
+}
+
+impl Spelling {
+    /// What the bus of a route is handed.
+    pub(super) const fn of(route: &Route) -> Self {
+        match (route.bus, route.protocol) {
+            (Bus::Can, _) => Self::Body,
+            (_, Protocol::ModbusAscii) => Self::Addressed,
+            _ => Self::Sealed,
+        }
+    }
+
+    /// Writes a request to `address`; all that came in one frame has room.
+    pub(super) fn write(self, address: u8, body: &[u8], content: &mut Content) {
+        if self != Self::Body {
+            let _ = content.push(address);
+        }
+        let _ = content.extend_from_slice(body);
+        if self == Self::Sealed {
+            let crc = checksum::crc16(content);
+            let _ = content.extend_from_slice(&crc.to_le_bytes());
+        }
+    }
+}
 
 /// Characters of a Modbus ASCII frame that are spelt out at once.
 const CHUNK: usize = 32;

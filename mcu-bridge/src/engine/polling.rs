@@ -1,7 +1,8 @@
 //! Slots in which the bridge reads sensors by itself, on time.
 
+use super::backlog::Content;
 use super::config::{Bus, Network, Route};
-use super::host::FRAME_MAX;
+use super::listener::Spelling;
 use super::transaction::{Expected, Origin, Request};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
@@ -172,9 +173,11 @@ impl Polling {
             if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
                 continue;
             }
-            let route = network.route(slot.unit).filter(|(_, route)| route.bus == bus);
-            let request = route.and_then(|(number, route)| read(slot.unit, index, number, route, now));
-            if let Some(request) = request.filter(|request| !held(request)) {
+            let route = network
+                .route(slot.unit)
+                .filter(|(_, route)| route.bus == bus && route.protocol.is_nst())
+                .map(|(number, route)| request(slot.unit, index, number, route, now));
+            if let Some(request) = route.filter(|request| !held(request)) {
                 due = Some((index, began, request));
             }
         }
@@ -206,25 +209,23 @@ impl Polling {
     }
 }
 
-/// The read of a slot, as it goes onto the bus; `None` for a unit that does not speak NST.
-fn read(unit: u8, index: usize, number: u8, route: &Route, now: Instant) -> Option<Request> {
-    if !route.protocol.is_nst() {
-        return None;
-    }
-    let remote = route.remote_of(unit);
-    let expected = Expected::Nst(serial::ExpectedReply::new(remote, &READ));
-    let mut buffer = [0; FRAME_MAX];
-    let content = if route.bus == Bus::Can {
-        let mut writer = Writer::new(&mut buffer);
-        READ.encode(&mut writer).ok()?;
-        writer.finish()
-    } else {
-        serial::encode_request(remote, &READ, &mut buffer).ok()?
-    };
+/// The read of a slot whose unit speaks NST.
+fn request(unit: u8, index: usize, number: u8, route: &Route, now: Instant) -> Request {
+    let expected = Expected::Nst(serial::ExpectedReply::new(route.remote_of(unit), &READ));
     let function = nst::FunctionCode::Read.code();
-    let request = Request::new(unit, function, Some(expected), (Some(number), route), content, now)?;
+    let request = Request::new(unit, function, Some(expected), (Some(number), route), now);
     // a repeated read would be late for this period and early for the next
-    Some(Request { origin: Origin::Slot(index), retries: 0, ..request })
+    Request { origin: Origin::Slot(index), retries: 0, ..request }
+}
+
+/// Writes the bytes of a slot's read as they go onto its bus.
+pub(super) fn read(request: &Request, content: &mut Content) {
+    let mut buffer = [0; nst::COMMAND_LENGTH];
+    let mut writer = Writer::new(&mut buffer);
+    // the buffer has the length of a read
+    let _ = READ.encode(&mut writer);
+    let spelling = if request.is_split { Spelling::Body } else { Spelling::Sealed };
+    spelling.write(request.expected.map_or(0, |expected| expected.remote()), writer.finish(), content);
 }
 
 #[cfg(test)]

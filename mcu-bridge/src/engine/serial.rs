@@ -1,6 +1,6 @@
 //! A bus on a serial port: one transaction in flight, half duplex.
 
-use super::backlog::{Backlog, QueueFull};
+use super::backlog::{Backlog, Content, QueueFull};
 use super::config::PortConfig;
 use super::counters::count;
 use super::host::FRAME_MAX;
@@ -71,11 +71,12 @@ impl SerialBus {
     /// Takes a request.
     pub(super) fn push(
         &mut self,
-        request: Request,
+        request: &Request,
+        write: impl FnOnce(&mut Content),
         now: Instant,
         around: &mut Surroundings<'_>,
     ) -> Result<(), QueueFull> {
-        let result = self.backlog.push(request);
+        let result = self.backlog.push(request, write);
         self.take_next(now, around);
         result
     }
@@ -89,7 +90,7 @@ impl SerialBus {
     pub(super) fn pending(&self) -> &[u8] {
         match &self.flight {
             Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) => {
-                outgoing.pending(&transaction.request.content)
+                outgoing.pending(self.backlog.content(transaction.place))
             }
             _ => &[],
         }
@@ -98,7 +99,7 @@ impl SerialBus {
     /// The port took so many of the pending bytes.
     pub(super) fn consume(&mut self, taken: usize) {
         if let Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) = &mut self.flight {
-            outgoing.consume(&transaction.request.content, taken);
+            outgoing.consume(self.backlog.content(transaction.place), taken);
         }
     }
 
@@ -133,7 +134,7 @@ impl SerialBus {
             && around.port.echo
             && !matches!(flight.phase, Phase::Ready)
         {
-            let content = &flight.transaction.request.content;
+            let content = self.backlog.content(flight.transaction.place);
             flight.echo.take(|index| wire_byte(self.is_ascii, content, index), &mut bytes);
         }
         if matches!(&self.flight, Some(Flight { phase: Phase::Sending { .. }, .. })) {
@@ -202,7 +203,7 @@ impl SerialBus {
     pub(super) fn reset(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
             around.fail(&flight.transaction.request);
-            flight.transaction.end(None, &mut self.backlog.owed, around);
+            flight.transaction.end(None, &mut self.backlog, around);
         }
         self.backlog.clear(around);
         *self = Self::new(around.network.speaks_ascii(around.bus), now);
@@ -211,8 +212,8 @@ impl SerialBus {
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if self.flight.is_none() {
-            self.flight = self.backlog.next(now, around).map(|request| Flight {
-                transaction: Transaction::new(request),
+            self.flight = self.backlog.next(now, around).map(|transaction| Flight {
+                transaction,
                 phase: Phase::Ready,
                 echo: Echo::default(),
             });
@@ -221,7 +222,7 @@ impl SerialBus {
             && matches!(flight.phase, Phase::Ready)
             && now >= self.busy.after(around.port.gap())
         {
-            let content = &flight.transaction.request.content;
+            let content = self.backlog.content(flight.transaction.place);
             let on_wire = around.port.characters(wire_length(self.is_ascii, content));
             let limit = now.after(on_wire).after(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { outgoing: Outgoing::start(self.is_ascii, content), limit };
@@ -258,7 +259,7 @@ impl SerialBus {
     /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
     fn count_collision(&self, around: &mut Surroundings<'_>) {
         let Some(Flight { transaction, echo, .. }) = &self.flight else { return };
-        let length = wire_length(self.is_ascii, &transaction.request.content);
+        let length = wire_length(self.is_ascii, self.backlog.content(transaction.place));
         if around.port.echo && (echo.collided || echo.heard < length) {
             count(&mut around.counters.transmit_errors);
         }
@@ -270,7 +271,7 @@ impl SerialBus {
         }
         if let Some(flight) = self.flight.take() {
             let expected = flight.transaction.request.expected;
-            flight.transaction.end(expected, &mut self.backlog.owed, around);
+            flight.transaction.end(expected, &mut self.backlog, around);
         }
     }
 

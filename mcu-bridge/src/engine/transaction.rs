@@ -1,12 +1,11 @@
 //! A request on its way over a bus: what answers it, how often it is tried, and what a bus may touch for it.
 
-use super::backlog::OwedReplies;
+use super::backlog::{Backlog, Place};
 use super::config::{Bus, Limits, Network, PortConfig, ROUTES, Route};
 use super::counters::{Counters, count};
-use super::host::{FRAME_MAX, Output};
+use super::host::Output;
 use super::polling::Polling;
 use super::quarantine::Quarantine;
-use heapless::Vec;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
 use jointbus_protocol::nst::{self, can};
@@ -92,8 +91,8 @@ pub(super) enum Origin {
     Slot(usize),
 }
 
-/// A request for a bus.
-#[derive(Debug, Clone)]
+/// A request for a bus, without its bytes: these stay where the [`Backlog`] keeps them.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Request {
     /// Who wants the answer.
     pub(super) origin: Origin,
@@ -117,8 +116,6 @@ pub(super) struct Request {
     pub(super) is_split: bool,
     /// When it is no longer to be sent.
     pub(super) expires: Instant,
-    /// On a serial bus the whole frame, for Modbus ASCII address and data unit, on CAN the body.
-    pub(super) content: Vec<u8, FRAME_MAX>,
 }
 
 impl Request {
@@ -127,11 +124,10 @@ impl Request {
         function: u8,
         expected: Option<Expected>,
         (route_number, route): (Option<u8>, &Route),
-        content: &[u8],
         now: Instant,
-    ) -> Option<Self> {
+    ) -> Self {
         let is_read = expected.is_some_and(|expected| expected.is_read());
-        Some(Self {
+        Self {
             origin: Origin::Host,
             unit,
             route: route_number,
@@ -143,8 +139,7 @@ impl Request {
             retries: if is_read { route.read_retries } else { 0 },
             is_split: route.bus == Bus::Can,
             expires: now.after(Duration::from_millis(route.time_to_live_ms.into())),
-            content: Vec::from_slice(content).ok()?,
-        })
+        }
     }
 
     /// Makes it the probe of a device in quarantine: without retry, and its bus waits a twentieth of the probe period at
@@ -177,6 +172,8 @@ impl Request {
 #[derive(Debug)]
 pub(super) struct Transaction {
     pub(super) request: Request,
+    /// Where its bytes are.
+    pub(super) place: Place,
     /// Attempts that may still follow.
     retries_left: u8,
     /// Attempts that timed out.
@@ -186,8 +183,8 @@ pub(super) struct Transaction {
 }
 
 impl Transaction {
-    pub(super) const fn new(request: Request) -> Self {
-        Self { retries_left: request.retries, unanswered: 0, sent: None, request }
+    pub(super) const fn new(request: Request, place: Place) -> Self {
+        Self { retries_left: request.retries, unanswered: 0, sent: None, request, place }
     }
 
     /// Another part of the request begins, with as many retries.
@@ -211,14 +208,15 @@ impl Transaction {
     pub(super) fn end(
         self,
         expected: Option<Expected>,
-        owed: &mut OwedReplies,
+        backlog: &mut Backlog,
         around: &mut Surroundings<'_>,
     ) {
         if self.request.origin == Origin::Host {
             around.host.output.release();
         }
+        backlog.free(self.place);
         if let (Some(expected), Some(sent)) = (expected, self.sent) {
-            owed.add(&self.request, expected, self.unanswered, sent);
+            backlog.owed.add(&self.request, expected, self.unanswered, sent);
         }
     }
 }
