@@ -36,6 +36,12 @@ struct Kept {
     content: Content,
 }
 
+impl Kept {
+    const fn new() -> Self {
+        Self { is_taken: false, content: Vec::new() }
+    }
+}
+
 /// The requests of a bus, and the replies that its devices owe.
 #[derive(Debug)]
 pub(super) struct Backlog {
@@ -47,8 +53,9 @@ pub(super) struct Backlog {
 
 impl Backlog {
     pub(super) const fn new() -> Self {
-        const FREE: Kept = Kept { is_taken: false, content: Vec::new() };
-        Self { queue: Queue::new(), kept: [FREE; QUEUE + 1], owed: OwedReplies::new() }
+        // spelt out: a loop over them would build the whole engine on the stack and copy it
+        let kept = [Kept::new(), Kept::new(), Kept::new(), Kept::new(), Kept::new()];
+        Self { queue: Queue::new(), kept, owed: OwedReplies::new() }
     }
 
     /// Takes a request from the host, whose bytes `write` writes.

@@ -67,6 +67,14 @@ impl Listener {
         if is_ascii { Self::Ascii(ascii::Deframer::new()) } else { Self::Sliding(ReplySearch::default()) }
     }
 
+    /// Starts afresh.
+    pub(super) fn reset(&mut self, is_ascii: bool) {
+        self.discard();
+        if matches!(self, Self::Ascii(_)) != is_ascii {
+            *self = Self::new(is_ascii);
+        }
+    }
+
     /// Takes bytes until a frame comes out or none are left.
     pub(super) fn feed(&mut self, wanted: Wanted<'_>, bytes: &mut &[u8]) -> Option<Heard<'_>> {
         match self {

@@ -206,7 +206,9 @@ impl SerialBus {
             flight.transaction.end(None, &mut self.backlog, around);
         }
         self.backlog.clear(around);
-        *self = Self::new(around.network.speaks_ascii(around.bus), now);
+        self.is_ascii = around.network.speaks_ascii(around.bus);
+        self.listener.reset(self.is_ascii);
+        self.busy = now;
     }
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
