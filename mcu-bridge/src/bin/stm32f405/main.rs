@@ -35,7 +35,7 @@ mod app {
     use jointbus_mcu_bridge::engine::config::Port;
     use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
-    use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
@@ -85,7 +85,8 @@ mod app {
 
     #[init(local = [
         place: MaybeUninit<Engine> = MaybeUninit::uninit(),
-        queues: [Queues; 3] = [Queues::new(), Queues::new(), Queues::new()],
+        host: Queues<INCOMING> = Queues::new(),
+        buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -142,8 +143,9 @@ mod app {
         USART3::enable(&mut rcc);
         USART3::reset(&mut rcc);
         let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
-        let [first, second, third] = cx.local.queues;
-        let ((in1, main1), (in2, main2), (in3, main3)) = (first.split(), second.split(), third.split());
+        let [second, third] = cx.local.buses;
+        let (in1, main1) = cx.local.host.split();
+        let ((in2, main2), (in3, main3)) = (second.split(), third.split());
         let uart1 = Uart::new(Registers::of(device.USART1), pclk2, None, in1, network.port(Port::Host));
         let uart2 =
             Uart::new(Registers::of(device.USART2), pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
