@@ -37,7 +37,7 @@ impl Report {
 
 /// Queues of a port, with room for `IN` received bytes less one.
 #[derive(Debug)]
-pub struct Queues<const IN: usize> {
+pub struct Queues<const IN: usize = INCOMING> {
     incoming: Queue<Report, IN>,
     outgoing: Queue<u8, OUTGOING>,
     shared: Shared,

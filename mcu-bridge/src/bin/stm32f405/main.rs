@@ -33,11 +33,12 @@ mod app {
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
+    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, Settings};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
-    use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::serial::{INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
+    use jointbus_protocol::time::Instant;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
     use stm32f4xx_hal::prelude::*;
     use stm32f4xx_hal::rcc::{Enable, Reset};
@@ -85,7 +86,7 @@ mod app {
 
     #[init(local = [
         place: MaybeUninit<Engine> = MaybeUninit::uninit(),
-        host: Queues<INCOMING> = Queues::new(),
+        host: Queues = Queues::new(),
         buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
@@ -99,10 +100,10 @@ mod app {
         let mut clock = Clock::default();
         watchdog.stretch();
         let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
-        let loaded = store.as_mut().map_or(Err(Unreadable), Store::load);
+        let mut settings = Settings::default();
+        let readable = load(store.as_mut(), &mut settings);
         watchdog.relax();
-        let settings = loaded.ok().flatten().unwrap_or_default();
-        let network = settings.network;
+        let network = &settings.network;
 
         let gpioa = device.GPIOA.split(&mut rcc);
         let gpiob = device.GPIOB.split(&mut rcc);
@@ -158,19 +159,11 @@ mod app {
         let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
         let (frames_in, frames) = cx.local.can_queue.split();
 
-        let version = [
-            env!("CARGO_PKG_VERSION_MAJOR"),
-            env!("CARGO_PKG_VERSION_MINOR"),
-            env!("CARGO_PKG_VERSION_PATCH"),
-        ]
-        .map(|part| part.parse().unwrap_or(0));
-        let identity = Identity { version, reset_cause };
-        let engine = cx.local.place.write(Engine::new(network, settings.limits, identity, clock.now()));
-        engine.restore(&settings, clock.now());
+        let engine = make_engine(cx.local.place, &settings, reset_cause, clock.now());
         engine.set_health(Health {
             internal_oscillator: !crystal,
             no_can: can.is_none(),
-            defaulted: loaded.is_err(),
+            defaulted: !readable,
         });
 
         let ports = [
@@ -255,8 +248,41 @@ mod app {
 
     // these are never inlined: what they need of the stack is to be in use only while they run
 
+    /// Puts what is stored into `settings`, if anything is; tells whether the store is readable.
     #[inline(never)]
-    fn poll(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn load(store: Option<&mut Store<Sectors>>, settings: &mut Settings) -> bool {
+        match store.map_or(Err(Unreadable), Store::load) {
+            Ok(stored) => {
+                if let Some(stored) = stored {
+                    *settings = stored;
+                }
+                true
+            }
+            Err(Unreadable) => false,
+        }
+    }
+
+    #[inline(never)]
+    fn make_engine(
+        place: &'static mut MaybeUninit<Engine>,
+        settings: &Settings,
+        reset_cause: ResetCause,
+        now: Instant,
+    ) -> &'static mut Engine {
+        let version = [
+            env!("CARGO_PKG_VERSION_MAJOR"),
+            env!("CARGO_PKG_VERSION_MINOR"),
+            env!("CARGO_PKG_VERSION_PATCH"),
+        ]
+        .map(|part| part.parse().unwrap_or(0));
+        let identity = Identity { version, reset_cause };
+        let engine = place.write(Engine::new(settings.network, settings.limits, identity, now));
+        engine.restore(settings, now);
+        engine
+    }
+
+    #[inline(never)]
+    fn poll(engine: &mut Engine, now: Instant) {
         engine.poll(now);
     }
 
@@ -271,11 +297,7 @@ mod app {
     }
 
     #[inline(never)]
-    fn carry_can_in(
-        engine: &mut Engine,
-        frames: &mut Consumer<'static, (Frame, u32)>,
-        now: jointbus_protocol::time::Instant,
-    ) {
+    fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, (Frame, u32)>, now: Instant) {
         report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
             engine.transmit_error();
@@ -295,14 +317,14 @@ mod app {
     }
 
     /// Tells the engine which frames have been acknowledged.
-    fn report_sent(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn report_sent(engine: &mut Engine, now: Instant) {
         for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
             engine.frame_sent(now);
         }
     }
 
     #[inline(never)]
-    fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn carry_can_out(engine: &mut Engine, now: Instant) {
         let can = can();
         engine.set_bus_off(bxcan::is_bus_off(can), now);
         if engine.take_can_restart(now) && bxcan::restart(can).is_err() {
