@@ -13,6 +13,7 @@ mod constants;
 mod flash;
 mod inputs;
 mod outputs;
+mod pins;
 mod reset;
 mod time;
 mod uart;
@@ -28,7 +29,7 @@ mod app {
     use crate::time::{self, Clock};
     use crate::uart::{Registers, Uart};
     use crate::watchdog::Watchdog;
-    use crate::{clocks, reset};
+    use crate::{clocks, pins, reset};
     use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -40,7 +41,6 @@ mod app {
     use jointbus_protocol::can::Frame;
     use jointbus_protocol::time::Instant;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
-    use stm32f4xx_hal::prelude::*;
     use stm32f4xx_hal::rcc::{Enable, Reset};
 
     /// What the CAN interrupts count for the main loop.
@@ -105,36 +105,8 @@ mod app {
         watchdog.relax();
         let network = &settings.network;
 
-        let gpioa = device.GPIOA.split(&mut rcc);
-        let gpiob = device.GPIOB.split(&mut rcc);
-        let gpioc = device.GPIOC.split(&mut rcc);
-        // host
-        let _ = (gpioa.pa9.into_alternate::<7>(), gpioa.pa10.into_alternate::<7>());
-        // rs485-a
-        let _ = (gpioa.pa2.into_alternate::<7>(), gpioa.pa3.into_alternate::<7>());
-        let driver_a = gpioa.pa1.into_push_pull_output().erase();
-        // rs485-b
-        let _ = (gpiob.pb10.into_alternate::<7>(), gpiob.pb11.into_alternate::<7>());
-        let driver_b = gpiob.pb12.into_push_pull_output().erase();
-        // can
-        let _ = (gpiob.pb8.into_alternate::<9>(), gpiob.pb9.into_alternate::<9>());
-        // the board's own outputs: DAC, then PWM of timer 3
-        let _ = (gpioa.pa4.into_analog(), gpioa.pa5.into_analog());
-        let _ = (gpioc.pc6.into_alternate::<2>(), gpioc.pc7.into_alternate::<2>());
+        pins::start(&mut rcc);
         let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
-        // digital inputs and outputs
-        let _ = (gpioc.pc0.into_pull_up_input(), gpioc.pc1.into_pull_up_input());
-        let _ = (gpioc.pc2.into_pull_up_input(), gpioc.pc3.into_pull_up_input());
-        let _ = (gpioc.pc4.into_pull_up_input(), gpioc.pc5.into_pull_up_input());
-        let _ = (gpioc.pc8.into_pull_up_input(), gpioc.pc9.into_pull_up_input());
-        outputs::drive_digital(0);
-        let _ = (gpiob.pb5.into_push_pull_output(), gpiob.pb6.into_push_pull_output());
-        let _ = (gpiob.pb7.into_push_pull_output(), gpiob.pb13.into_push_pull_output());
-        let _ = (gpiob.pb14.into_push_pull_output(), gpiob.pb15.into_push_pull_output());
-        let _ = (gpioc.pc10.into_push_pull_output(), gpioc.pc11.into_push_pull_output());
-        // analog inputs
-        let _ = (gpioa.pa0.into_analog(), gpioa.pa6.into_analog());
-        let _ = (gpioa.pa7.into_analog(), gpiob.pb0.into_analog());
         let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, &mut rcc, time::micros());
 
         USART1::enable(&mut rcc);
@@ -148,10 +120,20 @@ mod app {
         let (in1, main1) = cx.local.host.split();
         let ((in2, main2), (in3, main3)) = (second.split(), third.split());
         let uart1 = Uart::new(Registers::of(device.USART1), pclk2, None, in1, network.port(Port::Host));
-        let uart2 =
-            Uart::new(Registers::of(device.USART2), pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
-        let uart3 =
-            Uart::new(Registers::of(device.USART3), pclk1, Some(driver_b), in3, network.port(Port::Rs485B));
+        let uart2 = Uart::new(
+            Registers::of(device.USART2),
+            pclk1,
+            Some(pins::DRIVER_A),
+            in2,
+            network.port(Port::Rs485A),
+        );
+        let uart3 = Uart::new(
+            Registers::of(device.USART3),
+            pclk1,
+            Some(pins::DRIVER_B),
+            in3,
+            network.port(Port::Rs485B),
+        );
 
         CAN1::enable(&mut rcc);
         CAN1::reset(&mut rcc);
