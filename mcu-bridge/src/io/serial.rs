@@ -10,9 +10,12 @@ use heapless::spsc::{Consumer, Producer, Queue};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
 
-/// Received bytes and ends of transmissions that wait for the main loop: more than a whole frame, some 3 ms at the
-/// fastest rate.
+/// Received bytes and ends of transmissions that wait for the main loop, where frames come one behind the other: more
+/// than a whole frame, some 3 ms at the fastest rate.
 pub const INCOMING: usize = 288;
+
+/// The same where a reply comes at a time, which the main loop takes in while it comes.
+pub const INCOMING_REPLY: usize = 128;
 
 /// Bytes that wait to be sent: a whole frame, so that an RS485 driver is never released inside one.
 pub const OUTGOING: usize = rtu::FRAME_MAX + 1;
@@ -32,10 +35,10 @@ impl Report {
     }
 }
 
-/// Queues of a port.
+/// Queues of a port, with room for `IN` received bytes less one.
 #[derive(Debug)]
-pub struct Queues {
-    incoming: Queue<Report, INCOMING>,
+pub struct Queues<const IN: usize = INCOMING> {
+    incoming: Queue<Report, IN>,
     outgoing: Queue<u8, OUTGOING>,
     shared: Shared,
 }
@@ -53,7 +56,7 @@ struct Shared {
     sending: AtomicBool,
 }
 
-impl Queues {
+impl<const IN: usize> Queues<IN> {
     /// Empty queues.
     #[must_use]
     pub const fn new() -> Self {
@@ -78,7 +81,7 @@ impl Queues {
     }
 }
 
-impl Default for Queues {
+impl<const IN: usize> Default for Queues<IN> {
     fn default() -> Self {
         Self::new()
     }
@@ -229,7 +232,7 @@ mod tests {
         let now = Instant::from_micros(5);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
-        let mut queues = Queues::new();
+        let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
             jointbus_protocol::modbus::Range::new(0, 120),
@@ -253,7 +256,7 @@ mod tests {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
-        let mut queues = Queues::new();
+        let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         assert!(main.advances(), "there is nothing to send");
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
@@ -278,7 +281,7 @@ mod tests {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
-        let mut queues = Queues::new();
+        let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         for _ in 0..INCOMING + 1 {
             interrupt.received(0x55, 0);

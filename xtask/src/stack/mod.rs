@@ -21,8 +21,9 @@ use self::code::{Callee, Code, Summary};
 const EXCEPTION: u32 = 8 * 4 + 4;
 const EXCEPTION_FLOAT: u32 = 26 * 4 + 4;
 
-/// Entries of the vector table before the first interrupt, and those that the processor's own exceptions have.
+/// Entries of the vector table before the first interrupt, and those of two exceptions.
 const SYSTEM_VECTORS: usize = 16;
+const RESET: usize = 1;
 const HARD_FAULT: usize = 3;
 
 /// The worst case.
@@ -55,7 +56,7 @@ pub(crate) fn worst(file: &[u8], priorities: &BTreeMap<String, u8>) -> Result<Wo
     let kinds = kinds(&elf)?;
     let image = Image::read(&elf, &kinds)?;
     let mut walk = Walk { image: &image, done: BTreeMap::new(), under_way: Vec::new(), pointed: None };
-    let entry = image.vector(1)?;
+    let entry = image.vector(RESET)?;
     let mut handlers = BTreeMap::<u8, Vec<u32>>::new();
     for (address, name) in image.handlers()? {
         let priority =
@@ -194,11 +195,13 @@ impl<'data> Image<'data> {
         Ok(self.vectors.get(index).with_context(|| format!("there is no vector {index}"))? & !1)
     }
 
-    /// The handlers of interrupts and of the system's timer, calls and service requests, without the one that stands
-    /// where there is none.
+    /// The handlers of interrupts and of every exception but reset and hard fault, without the one that stands where
+    /// there is none.
     fn handlers(&self) -> Result<BTreeSet<(u32, &str)>> {
         let mut handlers = BTreeSet::new();
-        for vector in self.vectors.iter().skip(HARD_FAULT + 1).filter(|vector| **vector != 0) {
+        let others =
+            self.vectors.iter().enumerate().skip(RESET + 1).filter(|(index, _)| *index != HARD_FAULT);
+        for (_, vector) in others.filter(|(_, vector)| **vector != 0) {
             let function = self.function(vector & !1)?;
             if !function.name.starts_with("DefaultHandler") {
                 handlers.insert((vector & !1, function.name));

@@ -22,8 +22,8 @@ pub const ADC_CHANNELS: [u32; 4] = [0, 6, 7, 8];
 /// Longest time that a conversion of 5 us may take until the main loop sees it done, in us.
 pub const ADC_LIMIT_US: u32 = 10_000;
 
-/// Frames that wait between the CAN interrupt and the main loop: longer than a transfer.
-pub const CAN_INCOMING: usize = 33;
+/// Frames that wait between the CAN interrupt and the main loop, and one: longer than a transfer, some 2 ms at 1 Mbit/s.
+pub const CAN_INCOMING: usize = 20;
 
 /// Steps of an analog output over its whole range, negative limit to positive limit.
 pub const OUTPUT_STEPS: u32 = 4095;

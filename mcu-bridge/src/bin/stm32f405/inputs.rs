@@ -4,13 +4,14 @@
 //! is done. One that does not get done in time fails until a whole round has been converted again.
 
 use crate::constants::{ADC_CHANNELS, ADC_LIMIT_US};
-use stm32f4xx_hal::pac::{ADC_COMMON, ADC1, GPIOC, RCC};
+use crate::pins::Port;
+use stm32f4xx_hal::pac::{ADC_COMMON, ADC1, RCC};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 
 /// Values of the analog inputs.
 type Analog = [u16; ADC_CHANNELS.len()];
 
-/// Digital inputs on PC0 to PC5, PC8 and PC9, analog inputs on PA0, PA6, PA7 and PB0; their modes are set.
+/// Digital inputs on PC0 to PC5, PC8 and PC9, analog inputs on PA0, PA6, PA7 and PB0.
 pub struct Inputs {
     converter: ADC1,
     /// Where in the round it is, and since when, in microseconds.
@@ -43,8 +44,7 @@ impl Inputs {
 
     /// The digital inputs, DI0 in bit 0.
     pub fn digital(&self) -> u16 {
-        // SAFETY: reading the input register changes nothing
-        let pins = unsafe { &*GPIOC::ptr() }.idr().read().bits() as u16;
+        let pins = Port::C.levels();
         pins & 0x3F | pins >> 2 & 0xC0
     }
 

@@ -13,6 +13,7 @@ mod constants;
 mod flash;
 mod inputs;
 mod outputs;
+mod pins;
 mod reset;
 mod time;
 mod uart;
@@ -28,18 +29,18 @@ mod app {
     use crate::time::{self, Clock};
     use crate::uart::{Registers, Uart};
     use crate::watchdog::Watchdog;
-    use crate::{clocks, reset};
+    use crate::{clocks, pins, reset};
     use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity};
+    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, Settings};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
-    use jointbus_mcu_bridge::io::serial::{MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::serial::{INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
+    use jointbus_protocol::time::Instant;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
-    use stm32f4xx_hal::prelude::*;
     use stm32f4xx_hal::rcc::{Enable, Reset};
 
     /// What the CAN interrupts count for the main loop.
@@ -85,7 +86,8 @@ mod app {
 
     #[init(local = [
         place: MaybeUninit<Engine> = MaybeUninit::uninit(),
-        queues: [Queues; 3] = [Queues::new(), Queues::new(), Queues::new()],
+        host: Queues = Queues::new(),
+        buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -98,41 +100,13 @@ mod app {
         let mut clock = Clock::default();
         watchdog.stretch();
         let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
-        let loaded = store.as_mut().map_or(Err(Unreadable), Store::load);
+        let mut settings = Settings::default();
+        let readable = load(store.as_mut(), &mut settings);
         watchdog.relax();
-        let settings = loaded.ok().flatten().unwrap_or_default();
-        let network = settings.network;
+        let network = &settings.network;
 
-        let gpioa = device.GPIOA.split(&mut rcc);
-        let gpiob = device.GPIOB.split(&mut rcc);
-        let gpioc = device.GPIOC.split(&mut rcc);
-        // host
-        let _ = (gpioa.pa9.into_alternate::<7>(), gpioa.pa10.into_alternate::<7>());
-        // rs485-a
-        let _ = (gpioa.pa2.into_alternate::<7>(), gpioa.pa3.into_alternate::<7>());
-        let driver_a = gpioa.pa1.into_push_pull_output().erase();
-        // rs485-b
-        let _ = (gpiob.pb10.into_alternate::<7>(), gpiob.pb11.into_alternate::<7>());
-        let driver_b = gpiob.pb12.into_push_pull_output().erase();
-        // can
-        let _ = (gpiob.pb8.into_alternate::<9>(), gpiob.pb9.into_alternate::<9>());
-        // the board's own outputs: DAC, then PWM of timer 3
-        let _ = (gpioa.pa4.into_analog(), gpioa.pa5.into_analog());
-        let _ = (gpioc.pc6.into_alternate::<2>(), gpioc.pc7.into_alternate::<2>());
+        pins::start(&mut rcc);
         let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
-        // digital inputs and outputs
-        let _ = (gpioc.pc0.into_pull_up_input(), gpioc.pc1.into_pull_up_input());
-        let _ = (gpioc.pc2.into_pull_up_input(), gpioc.pc3.into_pull_up_input());
-        let _ = (gpioc.pc4.into_pull_up_input(), gpioc.pc5.into_pull_up_input());
-        let _ = (gpioc.pc8.into_pull_up_input(), gpioc.pc9.into_pull_up_input());
-        outputs::drive_digital(0);
-        let _ = (gpiob.pb5.into_push_pull_output(), gpiob.pb6.into_push_pull_output());
-        let _ = (gpiob.pb7.into_push_pull_output(), gpiob.pb13.into_push_pull_output());
-        let _ = (gpiob.pb14.into_push_pull_output(), gpiob.pb15.into_push_pull_output());
-        let _ = (gpioc.pc10.into_push_pull_output(), gpioc.pc11.into_push_pull_output());
-        // analog inputs
-        let _ = (gpioa.pa0.into_analog(), gpioa.pa6.into_analog());
-        let _ = (gpioa.pa7.into_analog(), gpiob.pb0.into_analog());
         let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, &mut rcc, time::micros());
 
         USART1::enable(&mut rcc);
@@ -142,13 +116,24 @@ mod app {
         USART3::enable(&mut rcc);
         USART3::reset(&mut rcc);
         let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
-        let [first, second, third] = cx.local.queues;
-        let ((in1, main1), (in2, main2), (in3, main3)) = (first.split(), second.split(), third.split());
+        let [second, third] = cx.local.buses;
+        let (in1, main1) = cx.local.host.split();
+        let ((in2, main2), (in3, main3)) = (second.split(), third.split());
         let uart1 = Uart::new(Registers::of(device.USART1), pclk2, None, in1, network.port(Port::Host));
-        let uart2 =
-            Uart::new(Registers::of(device.USART2), pclk1, Some(driver_a), in2, network.port(Port::Rs485A));
-        let uart3 =
-            Uart::new(Registers::of(device.USART3), pclk1, Some(driver_b), in3, network.port(Port::Rs485B));
+        let uart2 = Uart::new(
+            Registers::of(device.USART2),
+            pclk1,
+            Some(pins::DRIVER_A),
+            in2,
+            network.port(Port::Rs485A),
+        );
+        let uart3 = Uart::new(
+            Registers::of(device.USART3),
+            pclk1,
+            Some(pins::DRIVER_B),
+            in3,
+            network.port(Port::Rs485B),
+        );
 
         CAN1::enable(&mut rcc);
         CAN1::reset(&mut rcc);
@@ -156,19 +141,11 @@ mod app {
         let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
         let (frames_in, frames) = cx.local.can_queue.split();
 
-        let version = [
-            env!("CARGO_PKG_VERSION_MAJOR"),
-            env!("CARGO_PKG_VERSION_MINOR"),
-            env!("CARGO_PKG_VERSION_PATCH"),
-        ]
-        .map(|part| part.parse().unwrap_or(0));
-        let identity = Identity { version, reset_cause };
-        let engine = cx.local.place.write(Engine::new(network, settings.limits, identity, clock.now()));
-        engine.restore(&settings, clock.now());
+        let engine = make_engine(cx.local.place, &settings, reset_cause, clock.now());
         engine.set_health(Health {
             internal_oscillator: !crystal,
             no_can: can.is_none(),
-            defaulted: loaded.is_err(),
+            defaulted: !readable,
         });
 
         let ports = [
@@ -253,8 +230,41 @@ mod app {
 
     // these are never inlined: what they need of the stack is to be in use only while they run
 
+    /// Puts what is stored into `settings`, if anything is; tells whether the store is readable.
     #[inline(never)]
-    fn poll(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn load(store: Option<&mut Store<Sectors>>, settings: &mut Settings) -> bool {
+        match store.map_or(Err(Unreadable), Store::load) {
+            Ok(stored) => {
+                if let Some(stored) = stored {
+                    *settings = stored;
+                }
+                true
+            }
+            Err(Unreadable) => false,
+        }
+    }
+
+    #[inline(never)]
+    fn make_engine(
+        place: &'static mut MaybeUninit<Engine>,
+        settings: &Settings,
+        reset_cause: ResetCause,
+        now: Instant,
+    ) -> &'static mut Engine {
+        let version = [
+            env!("CARGO_PKG_VERSION_MAJOR"),
+            env!("CARGO_PKG_VERSION_MINOR"),
+            env!("CARGO_PKG_VERSION_PATCH"),
+        ]
+        .map(|part| part.parse().unwrap_or(0));
+        let identity = Identity { version, reset_cause };
+        let engine = place.write(Engine::new(settings.network, settings.limits, identity, now));
+        engine.restore(settings, now);
+        engine
+    }
+
+    #[inline(never)]
+    fn poll(engine: &mut Engine, now: Instant) {
         engine.poll(now);
     }
 
@@ -269,11 +279,7 @@ mod app {
     }
 
     #[inline(never)]
-    fn carry_can_in(
-        engine: &mut Engine,
-        frames: &mut Consumer<'static, (Frame, u32)>,
-        now: jointbus_protocol::time::Instant,
-    ) {
+    fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, (Frame, u32)>, now: Instant) {
         report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
             engine.transmit_error();
@@ -293,14 +299,14 @@ mod app {
     }
 
     /// Tells the engine which frames have been acknowledged.
-    fn report_sent(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn report_sent(engine: &mut Engine, now: Instant) {
         for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
             engine.frame_sent(now);
         }
     }
 
     #[inline(never)]
-    fn carry_can_out(engine: &mut Engine, now: jointbus_protocol::time::Instant) {
+    fn carry_can_out(engine: &mut Engine, now: Instant) {
         let can = can();
         engine.set_bus_off(bxcan::is_bus_off(can), now);
         if engine.take_can_restart(now) && bxcan::restart(can).is_err() {

@@ -3,8 +3,9 @@
 //! is off stays.
 
 use crate::constants::{OUTPUT_OFF, OUTPUT_STEPS};
+use crate::pins::Port;
 use jointbus_protocol::nxi6201::{Channel, Settings};
-use stm32f4xx_hal::pac::{DAC, GPIOB, GPIOC, RCC, TIM3};
+use stm32f4xx_hal::pac::{DAC, RCC, TIM3};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 
 /// DAC channels on PA4 and PA5, PWM channels on PC6 and PC7.
@@ -55,16 +56,13 @@ impl Outputs {
     }
 }
 
-/// Drives the digital outputs, DO0 in bit 0: PB5 to PB7, PB13 to PB15, PC10 and PC11. Their modes are set.
+/// Drives the digital outputs, DO0 in bit 0: PB5 to PB7, PB13 to PB15, PC10 and PC11.
 pub fn drive_digital(values: u16) {
     let port_b = u32::from(values & 0b111) << 5 | u32::from(values >> 3 & 0b111) << 13;
     let port_c = u32::from(values >> 6 & 0b11) << 10;
     let (all_b, all_c) = (0b111 << 5 | 0b111 << 13, 0b11 << 10);
-    // SAFETY: each bit of this register sets or resets one pin, all of them outputs of this module
-    unsafe {
-        (*GPIOB::ptr()).bsrr().write(|w| w.bits((all_b & !port_b) << 16 | port_b));
-        (*GPIOC::ptr()).bsrr().write(|w| w.bits((all_c & !port_c) << 16 | port_c));
-    }
+    Port::B.set_reset((all_b & !port_b) << 16 | port_b);
+    Port::C.set_reset((all_c & !port_c) << 16 | port_c);
 }
 
 /// Steps of a channel's set value, or of the middle where it is off.

@@ -1,13 +1,13 @@
 //! A USART behind an interrupt: bytes in and out through the port's queues, and the RS485 driver around them.
 
+use crate::pins::OutputPin;
 use core::ops::Deref;
 use jointbus_mcu_bridge::engine::config::{Parity, PortConfig};
 use jointbus_mcu_bridge::io::serial::InterruptSide;
-use stm32f4xx_hal::gpio::{ErasedPin, Output};
 use stm32f4xx_hal::pac::usart1::RegisterBlock;
 
 /// The driver-enable pin of an RS485 port; a port without one is full duplex.
-pub type DriverEnable = Option<ErasedPin<Output>>;
+pub type DriverEnable = Option<OutputPin>;
 
 /// The registers of a USART, of one type for all of them, so that the code of a port is there once.
 pub struct Registers(*const RegisterBlock);
@@ -125,8 +125,8 @@ impl Uart {
     }
 
     fn drive(&mut self, on: bool) {
-        if let Some(pin) = &mut self.driver_enable {
-            if on { pin.set_high() } else { pin.set_low() }
+        if let Some(pin) = self.driver_enable {
+            pin.set(on);
         }
     }
 }
