@@ -265,5 +265,5 @@ impl Driver {
 
 fn start(clock: Clock, reset_cause: ResetCause) -> Engine {
     let identity = Identity { version: crate::version(), reset_cause };
-    Engine::new(Network::default(), Limits::default(), identity, clock.now())
+    Engine::new(&Network::default(), Limits::default(), identity, clock.now())
 }

@@ -65,7 +65,7 @@ impl<'q> Board<'q> {
         now: Instant,
     ) -> (Self, [Uart<'q>; 3]) {
         let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
-        let mut engine = Engine::new(settings.network, settings.limits, identity, now);
+        let mut engine = Engine::new(&settings.network, settings.limits, identity, now);
         engine.set_inputs(0, INPUTS);
         let [host, first, second] = queues;
         let ((host_in, host), (first_in, first), (second_in, second)) =

@@ -223,7 +223,7 @@ impl OwedReplies {
     pub(super) fn add(&mut self, request: &Request, expected: Expected, replies: u8, sent: Instant) {
         if replies > 0 {
             let probed = request.probe_window().map(|window| (request.unit, sent.after(window)));
-            let until = sent.after(request.hold_off);
+            let until = sent.after(request.hold_off.into());
             // a transaction starts only while there is room, and adds at most once
             let _ = self.0.push(Owed { expected, replies, until, probed });
         }
@@ -319,7 +319,7 @@ mod tests {
             push(&mut queue, unit, function).unwrap();
         }
         let mut owed = OwedReplies::new();
-        let owing = Request { hold_off: Duration::from_micros(10), ..request(1, READ) };
+        let owing = Request { hold_off: Duration::from_micros(10).into(), ..request(1, READ) };
         owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
         assert_eq!(order(&mut queue, &owed), [(2, 3)]);
         assert!(!owed.expire(Instant::from_micros(9)));
@@ -331,9 +331,9 @@ mod tests {
     fn a_probe_waits_a_part_of_the_period_and_its_reply_counts_as_long_as_any() {
         let limits = Limits::default();
         let mut probe = request(1, ZERO);
-        assert_eq!((probe.timeout, probe.probe_window()), (Duration::from_millis(500), None));
+        assert_eq!((probe.timeout.into(), probe.probe_window()), (Duration::from_millis(500), None));
         probe.become_probe(&limits);
-        assert_eq!((probe.timeout, probe.retries), (Duration::from_millis(50), 0));
+        assert_eq!((probe.timeout.into(), probe.retries), (Duration::from_millis(50), 0));
         let at = |millis: u64| Instant::from_micros(millis * 1000);
         for (came, back) in [(499, Some(1)), (500, None)] {
             let mut owed = OwedReplies::new();
@@ -342,6 +342,10 @@ mod tests {
         }
         let mut shorter = request(1, READ);
         shorter.become_probe(&Limits { probe_period_ms: 100, ..limits });
-        assert_eq!(shorter.timeout, Duration::from_millis(20), "a device has some time for all that");
+        assert_eq!(
+            Duration::from(shorter.timeout),
+            Duration::from_millis(20),
+            "a device has some time for all that"
+        );
     }
 }

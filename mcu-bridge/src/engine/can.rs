@@ -294,7 +294,7 @@ impl CanBus {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
                 0 => flight.transaction.request.expires,
-                _ => now.after(flight.transaction.request.timeout),
+                _ => now.after(flight.transaction.request.timeout.into()),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
             if flight.transaction.unanswered > 0 {
@@ -333,7 +333,7 @@ impl CanBus {
         // what its device had begun before is a second copy of a former reply
         self.reassembler.forget(flight.part.expected.address());
         let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
-        let deadline = now.after(flight.transaction.request.timeout).after(on_wire);
+        let deadline = now.after(flight.transaction.request.timeout.into()).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
     }

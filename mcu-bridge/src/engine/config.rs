@@ -64,6 +64,17 @@ impl Bus {
         }
     }
 
+    /// Its port, if it has one.
+    #[must_use]
+    pub const fn port(self) -> Option<Port> {
+        match self {
+            Self::Rs485A => Some(Port::Rs485A),
+            Self::Rs485B => Some(Port::Rs485B),
+            Self::Can => Some(Port::Can),
+            Self::LocalOutputs | Self::LocalIo | Self::Bridge => None,
+        }
+    }
+
     /// Its number in a route register.
     #[must_use]
     pub const fn value(self) -> u16 {

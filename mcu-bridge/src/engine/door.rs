@@ -142,7 +142,8 @@ impl Engine {
         self.admit(&route, request, body, now);
     }
 
-    /// Answers for one of the board's own units.
+    /// Answers for one of the board's own units. Apart, so that a request for a bus goes without its buffer.
+    #[inline(never)]
     fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
         if !self.output.has_room() {
             return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));

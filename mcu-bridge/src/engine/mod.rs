@@ -40,6 +40,13 @@ pub use settings::{STORED_LENGTH, Settings, SlotSettings};
 pub const LOCAL_IO: Layout =
     Layout { digital_inputs: 8, digital_outputs: 8, analog_inputs: 4, analog_outputs: 0 };
 
+/// Which ports and routes.
+#[derive(Debug, Clone, Copy)]
+enum Which {
+    Staged,
+    Confirmed,
+}
+
 /// The bridge.
 #[derive(Debug)]
 pub struct Engine {
@@ -73,15 +80,15 @@ pub struct Engine {
 impl Engine {
     /// A bridge that starts at `now`.
     #[must_use]
-    pub fn new(network: Network, limits: Limits, identity: Identity, now: Instant) -> Self {
+    pub fn new(network: &Network, limits: Limits, identity: Identity, now: Instant) -> Self {
         let Ok(outputs) =
             nxi6201::Card::power_up(nxi6201::RamHardware::default(), &nxi6201::Settings::default());
         Self {
             identity,
             health: Health::default(),
-            live: network,
-            staged: network,
-            confirmed: network,
+            live: *network,
+            staged: *network,
+            confirmed: *network,
             confirm_until: None,
             limits,
             command: None,
@@ -297,32 +304,41 @@ impl Engine {
         .min()
     }
 
-    /// Makes ports and routes live, dropping what waits or is in flight where something changed.
-    fn go_live(&mut self, network: Network, now: Instant) {
-        let former = core::mem::replace(&mut self.live, network);
-        for (old, new) in former.routes.iter().zip(&network.routes).filter(|(old, new)| old != new) {
-            self.quarantine.forget(old);
-            self.quarantine.forget(new);
-        }
-        for (port, bus) in [(Port::Rs485A, Bus::Rs485A), (Port::Rs485B, Bus::Rs485B), (Port::Can, Bus::Can)] {
-            let rows = former.routes.iter().zip(&network.routes);
-            let moved = rows.into_iter().any(|(old, new)| old != new && (old.bus == bus || new.bus == bus));
-            if !moved && former.port(port) == network.port(port) {
-                continue;
-            }
-            match port {
-                Port::Can => {
-                    let node = network.port(Port::Can).node;
-                    let (can, mut around) = self.can_parts();
-                    can.reset(node, &mut around);
+    /// Makes the staged or the confirmed ports and routes live, dropping what waits or is in flight where something
+    /// changed.
+    fn go_live(&mut self, which: Which, now: Instant) {
+        let Self { live, staged, confirmed, quarantine, changed_ports, .. } = self;
+        let next = match which {
+            Which::Staged => &*staged,
+            Which::Confirmed => &*confirmed,
+        };
+        let mut moved = [false; 4];
+        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
+            quarantine.forget(old);
+            quarantine.forget(new);
+            for port in [old, new].into_iter().filter_map(|row| row.bus.port()) {
+                if let Some(moved) = moved.get_mut(port.index()) {
+                    *moved = true;
                 }
-                _ => self.on_serial(port, |bus, around| bus.reset(now, around)),
             }
         }
-        for port in Port::ALL {
-            if let Some(changed) = self.changed_ports.get_mut(port.index()) {
-                *changed |= former.port(port) != network.port(port);
+        for ((old, new), (moved, changed)) in
+            live.ports.iter().zip(&next.ports).zip(moved.iter_mut().zip(changed_ports))
+        {
+            *moved |= old != new;
+            *changed |= old != new;
+        }
+        live.clone_from(next);
+        let [_, rs485_a, rs485_b, can] = moved;
+        for (port, moved) in [(Port::Rs485A, rs485_a), (Port::Rs485B, rs485_b)] {
+            if moved {
+                self.on_serial(port, |bus, around| bus.reset(now, around));
             }
+        }
+        if can {
+            let node = self.live.port(Port::Can).node;
+            let (can, mut around) = self.can_parts();
+            can.reset(node, &mut around);
         }
     }
 

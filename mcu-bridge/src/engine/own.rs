@@ -1,13 +1,13 @@
 //! Unit 247: the bridge's own registers. Values wider than a register come high word first.
 
-use super::Engine;
 use super::config::{Limits, Network};
 use super::counters::Counters;
 use super::polling::{Polling, Slot};
-use super::settings::{STORED_LENGTH, Settings, SlotSettings};
+use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
+use super::{Engine, Which};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
-use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Response};
+use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -128,8 +128,9 @@ impl Server for Own<'_> {
         range: Range,
         out: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
-        let settings = self.engine.settings();
-        out.extend(range.addresses().map(|address| settings.read(address)));
+        let slots = self.engine.slots();
+        let registers = self.engine.holding(&slots);
+        out.extend(range.addresses().map(|address| registers.read(address)));
         Ok(())
     }
 
@@ -280,31 +281,37 @@ impl Engine {
     }
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
-        let former = self.settings();
-        let mut settings = former;
+        let former = self.slots();
+        let mut slots = former;
+        let mut registers =
+            HoldingMut { network: &mut self.staged, limits: &mut self.limits, slots: &mut slots };
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
-                _ => settings.write(address, value)?,
+                _ => registers.judge(address, value)?,
             }
         }
         if let Some(command) = command {
             return self.command(command, now);
         }
-        self.staged = settings.network;
-        self.set_limits(settings.limits);
-        self.set_slots(&former.slots, &settings.slots, now);
+        for (address, value) in range.addresses().zip(values.iter()) {
+            registers.write(address, value)?;
+        }
+        self.host.set_silence(self.limits.burst_silence());
+        self.set_slots(&former, &slots, now);
         Ok(())
     }
 
     /// The registers as the host sees them: the network staged.
-    fn settings(&self) -> Settings {
-        let slots = core::array::from_fn(|index| {
-            let slot = self.polling.slot(index).copied().unwrap_or_default();
-            (slot.unit, slot.period_100us)
-        });
-        Settings { network: self.staged, limits: self.limits, slots }
+    fn holding<'s>(&'s self, slots: &'s SlotSettings) -> Holding<'s> {
+        Holding { network: &self.staged, limits: &self.limits, slots }
+    }
+
+    fn slots(&self) -> SlotSettings {
+        core::array::from_fn(|index| {
+            self.polling.slot(index).map_or((0, 0), |slot| (slot.unit, slot.period_100us))
+        })
     }
 
     fn set_limits(&mut self, limits: Limits) {
@@ -323,35 +330,33 @@ impl Engine {
 
     /// Starts with settings that were stored; to be called before anything else.
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
-        self.staged = settings.network;
-        self.confirmed = settings.network;
+        self.staged.clone_from(&settings.network);
+        self.confirmed.clone_from(&settings.network);
         self.set_limits(settings.limits);
         self.set_slots(&SlotSettings::default(), &settings.slots, now);
-        self.go_live(settings.network, now);
+        self.go_live(Which::Confirmed, now);
     }
 
     /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
     pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
-        match self.saving {
-            Some(Saving { taken: false, unit }) => {
-                self.saving = Some(Saving { taken: true, unit });
-                Some(Settings { network: self.confirmed, ..self.settings() }.encode())
-            }
-            _ => None,
-        }
+        let Some(Saving { taken: false, unit }) = self.saving else { return None };
+        self.saving = Some(Saving { taken: true, unit });
+        let (slots, mut stored) = (self.slots(), [0; STORED_LENGTH]);
+        Holding { network: &self.confirmed, ..self.holding(&slots) }.encode(&mut stored);
+        Some(stored)
     }
 
     /// Whether what was to be stored is stored: the host gets its answer.
     pub fn saved(&mut self, stored: bool) {
         let Some(Saving { unit, .. }) = self.saving.take() else { return };
-        let function = FunctionCode::WriteSingleRegister;
-        let response = if stored {
-            Response::WriteSingle { function, address: 0, value: command::SAVE }
-        } else {
-            Response::exception(function, ExceptionCode::ServerDeviceFailure)
-        };
+        let function = FunctionCode::WriteSingleRegister.code();
         let [counters, ..] = &mut self.counters;
-        self.output.respond(counters, unit, &response);
+        if stored {
+            let [high, low] = command::SAVE.to_be_bytes();
+            self.output.relay(counters, unit, &[function, 0, 0, high, low]);
+        } else {
+            self.output.refuse(counters, unit, function, ExceptionCode::ServerDeviceFailure);
+        }
     }
 
     /// Only a write of register 0 alone gets here: there are no others beside it.
@@ -362,11 +367,11 @@ impl Engine {
                     return Err(ExceptionCode::IllegalDataValue);
                 }
                 self.confirm_until = Some(now.after(CONFIRM_WITHIN));
-                self.go_live(self.staged, now);
+                self.go_live(Which::Staged, now);
             }
             command::CONFIRM => {
                 self.confirm_until = None;
-                self.confirmed = self.live;
+                self.confirmed.clone_from(&self.live);
             }
             // answered when it is done
             command::SAVE if self.saving.is_some() => return Err(ExceptionCode::ServerDeviceBusy),
@@ -387,8 +392,8 @@ impl Engine {
     pub(super) fn roll_back(&mut self, now: Instant) {
         if self.confirm_until.is_some_and(|end| now >= end) {
             self.confirm_until = None;
-            self.staged = self.confirmed;
-            self.go_live(self.confirmed, now);
+            self.staged.clone_from(&self.confirmed);
+            self.go_live(Which::Confirmed, now);
         }
     }
 }

@@ -167,8 +167,8 @@ impl Polling {
         now: Instant,
         held: impl Fn(&Request) -> bool,
     ) -> Option<Request> {
-        let mut due: Option<(usize, Instant, Request)> = None;
-        for (index, slot) in self.0.iter().enumerate().filter(|(_, slot)| slot.progress == Progress::Due) {
+        let mut due: Option<(u8, Instant, Request)> = None;
+        for (index, slot) in (0..).zip(&self.0).filter(|(_, slot)| slot.progress == Progress::Due) {
             let began = slot.next;
             if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
                 continue;
@@ -182,7 +182,7 @@ impl Polling {
             }
         }
         let (index, _, request) = due?;
-        self.0.get_mut(index)?.progress = Progress::InFlight;
+        self.0.get_mut(usize::from(index))?.progress = Progress::InFlight;
         Some(request)
     }
 
@@ -210,7 +210,7 @@ impl Polling {
 }
 
 /// The read of a slot whose unit speaks NST.
-fn request(unit: u8, index: usize, number: u8, route: &Route, now: Instant) -> Request {
+fn request(unit: u8, index: u8, number: u8, route: &Route, now: Instant) -> Request {
     let expected = Expected::Nst(serial::ExpectedReply::new(route.remote_of(unit), &READ));
     let function = nst::FunctionCode::Read.code();
     let request = Request::new(unit, function, Some(expected), (Some(number), route), now);

@@ -121,7 +121,7 @@ impl SerialBus {
         let [longest, other] = expected.lengths();
         let length = if expected.is_open() { FRAME_MAX } else { longest.max(other) };
         let on_wire = around.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
-        let deadline = now.after(request.timeout).after(on_wire);
+        let deadline = now.after(request.timeout.into()).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
         self.discard(around);

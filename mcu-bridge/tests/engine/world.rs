@@ -45,7 +45,7 @@ impl World {
         let start = Instant::from_micros(1_000_000);
         let identity = Identity { version: [1, 2, 3], reset_cause: ResetCause::PowerOn };
         Self {
-            engine: Engine::new(Network::default(), Limits::default(), identity, start),
+            engine: Engine::new(&Network::default(), Limits::default(), identity, start),
             now: start,
             can_daq: daq(1),
             serial_daq: daq(2),
