@@ -74,8 +74,6 @@ pub(super) struct CanBus {
     flight: Option<Flight>,
     /// The transfer under way.
     body: Vec<u8, { can::TRANSFER_MAX }>,
-    /// Data of the parts read so far.
-    joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
     reassembler: Reassembler<CONTEXTS>,
     node: u8,
     /// Frames that the controller has and that nobody acknowledged so far.
@@ -91,7 +89,6 @@ impl CanBus {
             backlog: Backlog::new(),
             flight: None,
             body: Vec::new(),
-            joined: Vec::new(),
             reassembler: Reassembler::new(node, FRAME_PAUSE),
             node,
             outstanding: 0,
@@ -213,7 +210,9 @@ impl CanBus {
             count(&mut self.quirks);
         }
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
-        let _ = self.joined.extend_from_slice(data);
+        if let Some(content) = self.backlog.content_mut(flight.transaction.place) {
+            let _ = content.extend_from_slice(data);
+        }
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
         let late = core::mem::take(&mut transaction.unanswered);
@@ -226,7 +225,8 @@ impl CanBus {
                 flight.phase = Phase::Ready;
             }
             None => {
-                answer(flight, &self.joined, sent, now, around);
+                let data = content.get(nst::COMMAND_LENGTH..).unwrap_or(&[]);
+                answer(flight, data, sent, now, around);
                 self.finish(around);
             }
         }
@@ -279,7 +279,6 @@ impl CanBus {
         if self.flight.is_none()
             && let Some(transaction) = self.backlog.next(now, around)
         {
-            self.joined.clear();
             let content = self.backlog.content(transaction.place);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
@@ -368,6 +367,12 @@ impl CanBus {
     }
 }
 
+/// The whole request; behind the bytes of a read come those that were read so far.
+fn asked<'c>(content: &'c [u8], request: &Request) -> Option<nst::Request<'c>> {
+    let length = if request.is_read() { nst::COMMAND_LENGTH } else { content.len() };
+    nst::Request::decode(content.get(..length)?).ok()
+}
+
 /// The transfer that follows those that moved so many bytes, put into `body`; `None` when all has been moved.
 fn following_part(
     content: &[u8],
@@ -375,7 +380,7 @@ fn following_part(
     moved: u8,
     body: &mut Vec<u8, { can::TRANSFER_MAX }>,
 ) -> Option<Part> {
-    let whole = nst::Request::decode(content).ok()?;
+    let whole = asked(content, request)?;
     if moved >= whole.length() { None } else { part(content, request, moved, body) }
 }
 
@@ -386,7 +391,7 @@ fn part(
     moved: u8,
     body: &mut Vec<u8, { can::TRANSFER_MAX }>,
 ) -> Option<Part> {
-    let part = can::part(&nst::Request::decode(content).ok()?, moved)?;
+    let part = can::part(&asked(content, request)?, moved)?;
     let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
     body.resize(can::TRANSFER_MAX, 0).ok()?;
     let mut writer = Writer::new(body);

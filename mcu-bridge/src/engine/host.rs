@@ -40,8 +40,11 @@ impl Format for HostFormat<'_> {
     }
 }
 
-/// Room for one reply of each bus, one of the board's own units, and a heap of exceptions.
-const OUTPUT: usize = 5 * FRAME_MAX;
+/// Room for one reply of each bus, for one of the board's own units, and for exceptions.
+const OUTPUT: usize = USABLE + FRAME_MAX;
+
+/// What replies may take: the rest stays free for exceptions.
+const USABLE: usize = 4 * FRAME_MAX;
 
 /// Replies on their way to the host.
 ///
@@ -75,8 +78,6 @@ impl Output {
 
     /// Whether a reply of any length fits beside those that are reserved for.
     pub(super) fn has_room(&self) -> bool {
-        // one reply's worth stays free for exceptions
-        const USABLE: usize = OUTPUT - FRAME_MAX;
         self.pending().len().saturating_add(self.reserved).saturating_add(FRAME_MAX) <= USABLE
     }
 

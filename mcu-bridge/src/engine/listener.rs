@@ -10,7 +10,7 @@ use jointbus_protocol::deframe::{Expectation, ReplySearch};
 use jointbus_protocol::modbus::ascii;
 
 /// Bytes that the search for a reply looks back on.
-const WINDOW: usize = FRAME_MAX + 64;
+const WINDOW: usize = FRAME_MAX + 16;
 
 /// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
 const KINDS: usize = 2 * (OWED + 1);

@@ -20,7 +20,7 @@ use can::CanBus;
 use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
 use counters::count;
 use host::{HostDeframer, Output};
-use io::{Analog, LocalIo};
+use io::{Analog, LocalIo, LocalOutputs};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nxi6201;
@@ -71,7 +71,7 @@ pub struct Engine {
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
-    outputs: nxi6201::Card<nxi6201::RamHardware>,
+    outputs: nxi6201::Card<LocalOutputs>,
     io: LocalIo,
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
@@ -81,8 +81,7 @@ impl Engine {
     /// A bridge that starts at `now`.
     #[must_use]
     pub fn new(network: &Network, limits: Limits, identity: Identity, now: Instant) -> Self {
-        let Ok(outputs) =
-            nxi6201::Card::power_up(nxi6201::RamHardware::default(), &nxi6201::Settings::default());
+        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs, &nxi6201::Settings::default());
         Self {
             identity,
             health: Health::default(),

@@ -271,11 +271,10 @@ impl Engine {
         let (Some(time), Some(route)) = (self.reply_times.get(index), self.live.routes.get(index)) else {
             return 0;
         };
-        let tens = |span: Duration| u16::try_from(span.as_micros() / 10).unwrap_or(u16::MAX);
         match offset % 4 {
             0 => self.quarantine.mask(route, &self.limits),
-            1 => tens(time.last),
-            2 => tens(time.largest),
+            1 => time.last.tens(),
+            2 => time.largest.tens(),
             _ => 0,
         }
     }

@@ -84,13 +84,20 @@ impl Expected {
 }
 
 /// A span of the configuration: it fits half of a [`Duration`], and there are many.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub(super) struct Span(u32);
 
 impl From<Duration> for Span {
     /// At most 71 minutes.
     fn from(span: Duration) -> Self {
         Self(u32::try_from(span.as_micros()).unwrap_or(u32::MAX))
+    }
+}
+
+impl Span {
+    /// In 10 us, as a register has it.
+    pub(super) fn tens(self) -> u16 {
+        u16::try_from(self.0 / 10).unwrap_or(u16::MAX)
     }
 }
 
@@ -247,8 +254,8 @@ pub(super) struct HostSide<'a> {
 /// How long the devices of a route took to answer.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct ReplyTime {
-    pub(super) last: Duration,
-    pub(super) largest: Duration,
+    pub(super) last: Span,
+    pub(super) largest: Span,
 }
 
 /// What a bus may touch beside itself.
@@ -274,7 +281,7 @@ impl Surroundings<'_> {
         self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
-            time.last = now.since(sent);
+            time.last = now.since(sent).into();
             time.largest = time.largest.max(time.last);
         }
     }
