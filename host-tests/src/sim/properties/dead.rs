@@ -58,14 +58,16 @@ fn one(seed: u64) -> Found {
     found.count("while one was dead", during);
     found.count("returns", 1);
     if during * 100 < before * 95 {
-        found.violation(format!("seed {seed}, {port:?}: the others gave {during} answers, before {before}"));
+        found.violation(format!("cargo xtask soak --seed {seed} --seeds 1, {port:?}: the others gave {during} answers, before {before}"));
     }
     if noticed > probe + 2 * cycle {
         let late = noticed / MILLIS;
-        found.violation(format!("seed {seed}, {port:?}: the return was noticed after {late} ms"));
+        found.violation(format!(
+            "cargo xtask soak --seed {seed} --seeds 1, {port:?}: the return was noticed after {late} ms"
+        ));
     }
     if let Some(first) = course.run.master.tally.violations.first() {
-        found.violation(format!("seed {seed}, {port:?}: {first}"));
+        found.violation(format!("cargo xtask soak --seed {seed} --seeds 1, {port:?}: {first}"));
     }
     found
 }
