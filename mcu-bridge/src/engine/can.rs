@@ -1,8 +1,9 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
+use super::backlog::{Backlog, QueueFull};
 use super::counters::count;
 use super::host::FRAME_MAX;
-use super::transaction::{Expected, OwedReplies, Queue, QueueFull, Request, Surroundings};
+use super::transaction::{Expected, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
@@ -45,12 +46,9 @@ enum Phase {
 
 #[derive(Debug)]
 struct Flight {
-    request: Request,
+    /// Its attempts are those at the present part.
+    transaction: Transaction,
     phase: Phase,
-    retries_left: u8,
-    /// Attempts at the present part that timed out, and when the newest of them had been sent.
-    unanswered: u8,
-    last_sent: Option<Instant>,
     /// Bytes of the request that former parts moved.
     moved: u8,
     part: Part,
@@ -75,9 +73,8 @@ struct Part {
 /// The CAN bus.
 #[derive(Debug)]
 pub(super) struct CanBus {
-    queue: Queue,
+    backlog: Backlog,
     flight: Option<Flight>,
-    owed: OwedReplies,
     reassembler: Reassembler<CONTEXTS>,
     node: u8,
     /// Frames that the controller has and that nobody acknowledged so far.
@@ -90,9 +87,8 @@ pub(super) struct CanBus {
 impl CanBus {
     pub(super) const fn new(node: u8) -> Self {
         Self {
-            queue: Queue::new(),
+            backlog: Backlog::new(),
             flight: None,
-            owed: OwedReplies::new(),
             reassembler: Reassembler::new(node, FRAME_PAUSE),
             node,
             outstanding: 0,
@@ -131,14 +127,14 @@ impl CanBus {
         now: Instant,
         around: &mut Surroundings<'_>,
     ) -> Result<(), QueueFull> {
-        let result = self.queue.push(request);
+        let result = self.backlog.push(request);
         self.take_next(now, around);
         result
     }
 
     /// Whether a request would have to wait for a reply that its unit owes.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
-        self.owed.holds(request, now)
+        self.backlog.owed.holds(request, now)
     }
 
     /// The next frame for the controller; it counts as handed over.
@@ -197,7 +193,7 @@ impl CanBus {
             let Phase::Waiting { sent, .. } = flight.phase else { return None };
             fits.then_some((flight, expected, quirk, sent))
         }) else {
-            let late = self.owed.iter().position(|owed| match owed {
+            let late = self.backlog.owed.iter().position(|owed| match owed {
                 Expected::Nst(owed) => {
                     source == owed.address() && (owed.accepts_body(body) || owed.accepts_quirk(body))
                 }
@@ -205,7 +201,7 @@ impl CanBus {
             });
             count(&mut around.counters.foreign_or_late);
             if let Some(index) = late {
-                self.owed.settle(index);
+                self.backlog.settle(index, now, around);
             }
             return;
         };
@@ -215,12 +211,13 @@ impl CanBus {
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
         let _ = flight.joined.extend_from_slice(data);
         flight.moved = flight.moved.saturating_add(flight.part.length);
-        let hold_off = flight.request.hold_off;
-        self.owed.add(Expected::Nst(expected), core::mem::take(&mut flight.unanswered), sent.after(hold_off));
-        match following_part(&flight.request, flight.moved) {
+        let transaction = &mut flight.transaction;
+        let late = core::mem::take(&mut transaction.unanswered);
+        self.backlog.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
+        match following_part(&transaction.request, flight.moved) {
             Some(part) => {
                 flight.part = part;
-                flight.retries_left = flight.request.retries;
+                transaction.restart();
                 flight.phase = Phase::Ready;
             }
             None => {
@@ -233,7 +230,7 @@ impl CanBus {
 
     /// Does what is due.
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        self.owed.expire(now);
+        self.backlog.owed.expire(now);
         if let Some(flight) = &mut self.flight {
             match flight.phase {
                 Phase::Sending { handed, limit } if now >= limit => {
@@ -243,70 +240,63 @@ impl CanBus {
                     }
                 }
                 Phase::Waiting { deadline, .. } if now >= deadline => self.time_out(now, around),
-                Phase::Ready if now >= flight.request.expires => self.not_sent(around),
+                Phase::Ready if now >= flight.transaction.request.expires => self.not_sent(around),
                 _ => {}
             }
         }
-        self.queue.expire(now, around.counters, &mut around.host);
+        self.backlog.expire(now, around);
         self.take_next(now, around);
     }
 
     /// When [`CanBus::poll`] has something to do next.
     pub(super) fn deadline(&self) -> Option<Instant> {
         let flight = self.flight.as_ref().and_then(|flight| match flight.phase {
-            Phase::Ready => Some(flight.request.expires),
+            Phase::Ready => Some(flight.transaction.request.expires),
             Phase::Sending { limit, .. } => Some(limit),
             Phase::Waiting { deadline, .. } => Some(deadline),
             Phase::Aborting { .. } => None,
         });
-        [flight, self.queue.deadline(), self.owed.deadline(), self.back_off.restart]
-            .into_iter()
-            .flatten()
-            .min()
+        [flight, self.backlog.deadline(), self.back_off.restart].into_iter().flatten().min()
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.
     pub(super) fn reset(&mut self, node: u8, around: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            around.fail(&flight.request);
-            around.release(&flight.request);
+            around.fail(&flight.transaction.request);
+            flight.transaction.end(None, &mut self.backlog.owed, around);
         }
-        self.queue.clear(&mut around.host);
-        self.owed = OwedReplies::new();
+        self.backlog.clear(around);
         self.node = node;
         self.reassembler.set_node(node);
     }
 
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if self.flight.is_none()
-            && let Some(request) = around.next(&mut self.queue, &self.owed, now)
+            && let Some(request) = self.backlog.next(now, around)
         {
             match part(&request, 0) {
                 Some(part) => {
                     self.flight = Some(Flight {
+                        transaction: Transaction::new(request),
                         phase: Phase::Ready,
-                        retries_left: request.retries,
-                        unanswered: 0,
-                        last_sent: None,
                         moved: 0,
                         part,
                         joined: Vec::new(),
-                        request,
                     });
                 }
                 // what was judged at the door always has a first part
-                None => around.release(&request),
+                None => Transaction::new(request).end(None, &mut self.backlog.owed, around),
             }
         }
         let Some(flight) = &mut self.flight else { return };
-        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.owed.is_full() {
+        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.backlog.owed.is_full() {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
-                0 => flight.request.expires,
-                _ => now.after(flight.request.timeout),
+                0 => flight.transaction.request.expires,
+                _ => now.after(flight.transaction.request.timeout),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
-            if flight.unanswered > 0 {
+            if flight.transaction.unanswered > 0 {
                 count(&mut around.counters.retries);
             }
         }
@@ -326,9 +316,9 @@ impl CanBus {
             }
             return;
         }
-        if flight.request.expected.is_none() {
+        if flight.transaction.request.expected.is_none() {
             flight.moved = flight.moved.saturating_add(flight.part.length);
-            match following_part(&flight.request, flight.moved) {
+            match following_part(&flight.transaction.request, flight.moved) {
                 Some(part) => {
                     flight.part = part;
                     flight.phase = Phase::Ready;
@@ -338,45 +328,40 @@ impl CanBus {
             self.take_next(now, around);
             return;
         }
+        // what its device had begun before is a second copy of a former reply
+        self.reassembler.forget(flight.part.expected.address());
         let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
-        let deadline = now.after(flight.request.timeout).after(on_wire);
+        let deadline = now.after(flight.transaction.request.timeout).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
-        flight.last_sent = Some(now);
+        flight.transaction.sent = Some(now);
     }
 
     /// The transfer was not sent in time; of the first part nothing has been carried out.
     fn not_sent(&mut self, around: &mut Surroundings<'_>) {
         let Some(flight) = &self.flight else { return };
-        match (flight.moved, flight.unanswered, flight.phase) {
+        match (flight.moved, flight.transaction.unanswered, flight.phase) {
             (0, 0, _) => count(&mut around.counters.expired),
             // the attempt before has been counted, and this one was none
             (_, 1.., Phase::Ready) => {}
             _ => count(&mut around.counters.timeouts),
         }
-        around.fail(&flight.request);
+        around.fail(&flight.transaction.request);
         self.finish(around);
     }
 
     fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        count(&mut around.counters.timeouts);
         let Some(flight) = &mut self.flight else { return };
-        flight.unanswered = flight.unanswered.saturating_add(1);
-        if flight.retries_left > 0 && now < flight.request.expires {
-            flight.retries_left = flight.retries_left.saturating_sub(1);
+        if flight.transaction.time_out(now, around) {
             flight.phase = Phase::Ready;
         } else {
-            around.give_up(&flight.request, now);
             self.finish(around);
         }
     }
 
-    /// Ends the transaction; what its device left unanswered is owed.
     fn finish(&mut self, around: &mut Surroundings<'_>) {
-        let Some(flight) = self.flight.take() else { return };
-        around.release(&flight.request);
-        if let Some(sent) = flight.last_sent {
-            let until = sent.after(flight.request.hold_off);
-            self.owed.add(Expected::Nst(flight.part.expected), flight.unanswered, until);
+        if let Some(flight) = self.flight.take() {
+            let expected = Some(Expected::Nst(flight.part.expected));
+            flight.transaction.end(expected, &mut self.backlog.owed, around);
         }
     }
 }
@@ -407,7 +392,7 @@ fn part(request: &Request, moved: u8) -> Option<Part> {
 
 /// Joins the parts' replies into the reply to the whole request.
 fn answer(flight: &Flight, sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
-    let function = FunctionCode::from_code(flight.request.function);
+    let function = FunctionCode::from_code(flight.transaction.request.function);
     let reply = if function.is_read() {
         Reply::Data { function, data: &flight.joined }
     } else {
@@ -416,6 +401,6 @@ fn answer(flight: &Flight, sent: Instant, now: Instant, around: &mut Surrounding
     let mut buffer = [0; FRAME_MAX];
     let mut writer = Writer::new(&mut buffer);
     if reply.encode(&mut writer).is_ok() {
-        around.answer(&flight.request, writer.finish(), sent, now);
+        around.answer(&flight.transaction.request, writer.finish(), sent, now);
     }
 }

@@ -83,6 +83,8 @@ impl Bus {
 pub enum Protocol {
     /// Modbus RTU.
     ModbusRtu,
+    /// Modbus ASCII on the bus; the host frames it as RTU.
+    ModbusAscii,
     /// NST with CRC.
     Nst,
     /// NST over CAN.
@@ -90,11 +92,12 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// The protocol with this number in a route register; 1, Modbus ASCII, is not supported yet.
+    /// The protocol with this number in a route register.
     #[must_use]
     pub const fn from_value(value: u16) -> Option<Self> {
         match value {
             0 => Some(Self::ModbusRtu),
+            1 => Some(Self::ModbusAscii),
             2 => Some(Self::Nst),
             3 => Some(Self::NstOverCan),
             _ => None,
@@ -106,6 +109,7 @@ impl Protocol {
     pub const fn value(self) -> u16 {
         match self {
             Self::ModbusRtu => 0,
+            Self::ModbusAscii => 1,
             Self::Nst => 2,
             Self::NstOverCan => 3,
         }
@@ -215,7 +219,7 @@ impl Route {
         let steps = self.last_unit.saturating_sub(self.first_unit);
         let last_remote = self.first_remote.checked_add(steps);
         let highest = match (self.bus, self.protocol) {
-            (Bus::Rs485A | Bus::Rs485B, Protocol::ModbusRtu) => ndam9010::UNIT_MAX,
+            (Bus::Rs485A | Bus::Rs485B, Protocol::ModbusRtu | Protocol::ModbusAscii) => ndam9010::UNIT_MAX,
             (Bus::Rs485A | Bus::Rs485B, Protocol::Nst) | (Bus::Can, Protocol::NstOverCan) => {
                 jointbus_protocol::nst::ADDRESS_MAX
             }
@@ -371,6 +375,12 @@ impl Network {
     #[must_use]
     pub fn route(&self, unit: u8) -> Option<(u8, &Route)> {
         (0..).zip(&self.routes).find(|(_, row)| row.serves(unit))
+    }
+
+    /// Whether a bus speaks Modbus ASCII: all of its routes do.
+    #[must_use]
+    pub fn speaks_ascii(&self, bus: Bus) -> bool {
+        self.routes.iter().any(|row| row.is_used() && row.bus == bus && row.protocol == Protocol::ModbusAscii)
     }
 
     /// Settings of a port.

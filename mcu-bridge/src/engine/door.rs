@@ -1,11 +1,12 @@
 //! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
 
 use super::Engine;
+use super::backlog::QueueFull;
 use super::config::{Bus, Port, Protocol, Route};
 use super::counters::count;
 use super::host::{FRAME_MAX, HostFormat};
 use super::quarantine::Admission;
-use super::transaction::{Expected, QueueFull, Request};
+use super::transaction::{Expected, Request};
 use heapless::Vec;
 use jointbus_protocol::deframe::{Event, Fault, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
@@ -110,7 +111,7 @@ impl Engine {
             Admission::Refused => Some(ExceptionCode::GatewayTargetDeviceFailedToRespond),
             admission => {
                 if admission == Admission::Probe {
-                    request.retries = 0;
+                    request.become_probe(&self.limits);
                 }
                 self.send(route.bus, request, now).err().map(|QueueFull| ExceptionCode::ServerDeviceBusy)
             }
@@ -146,7 +147,7 @@ impl Engine {
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
         let mut buffer = [0; FRAME_MAX];
-        let content = readdress(frame, remote, &mut buffer);
+        let content = on_bus(&route, readdress(frame, remote, &mut buffer));
         let request =
             Request::new(unit, function.code(), Some(expected), (Some(number), &route), content, now);
         if let Some(request) = request {
@@ -177,9 +178,7 @@ impl Engine {
         }
         let routes = self.live.routes;
         for bus in to {
-            let row = routes
-                .iter()
-                .find(|row| row.is_used() && row.bus == *bus && row.protocol == Protocol::ModbusRtu);
+            let row = routes.iter().find(|row| row.is_used() && row.bus == *bus && !row.protocol.is_nst());
             let Some(row) = row.filter(|row| !row.refuse_writes) else { continue };
             let mut data = [0; modbus::PDU_MAX];
             match bus {
@@ -189,7 +188,7 @@ impl Engine {
                 Bus::LocalOutputs => {
                     self.outputs.dispatch(&asked, &mut data);
                 }
-                _ => self.send_broadcast(*bus, asked.function().code(), row, frame, now),
+                _ => self.send_broadcast(*bus, asked.function().code(), row, on_bus(row, frame), now),
             }
         }
     }
@@ -250,6 +249,14 @@ fn apart(event: Event<'_>) -> Result<Vec<u8, FRAME_MAX>, (u8, Fault)> {
         // the deframer's frames are never longer
         Event::Frame(frame) => Ok(Vec::from_slice(frame).unwrap_or_default()),
         Event::Dropped { fault, burst } => Err((burst.first().copied().unwrap_or(0), fault)),
+    }
+}
+
+/// What a bus is handed of a Modbus frame: ASCII has a checksum of its own.
+fn on_bus<'f>(route: &Route, frame: &'f [u8]) -> &'f [u8] {
+    match route.protocol {
+        Protocol::ModbusAscii => checksum::verify(frame).unwrap_or(frame),
+        _ => frame,
     }
 }
 

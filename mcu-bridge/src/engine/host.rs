@@ -23,7 +23,7 @@ impl Format for HostFormat<'_> {
             Some(&modbus::BROADCAST) => rtu::request_length(prefix),
             Some(&nst::BROADCAST) => FrameLength::UntilSilence,
             Some(&unit) => match self.0.route(unit).map(|(_, route)| route.protocol) {
-                Some(Protocol::ModbusRtu) => rtu::request_length(prefix),
+                Some(Protocol::ModbusRtu | Protocol::ModbusAscii) => rtu::request_length(prefix),
                 Some(Protocol::Nst | Protocol::NstOverCan) => nst::serial::request_length(prefix),
                 None => FrameLength::Impossible,
             },

@@ -1,11 +1,13 @@
 //! The bridge itself: bytes, frames and the time go in; bytes, frames and the next deadline come out. It reads no
 //! clock and touches no port, and every call does bounded work.
 
+mod backlog;
 mod can;
 pub mod config;
 mod counters;
 mod door;
 mod host;
+mod listener;
 mod own;
 mod polling;
 mod quarantine;
@@ -90,8 +92,8 @@ impl Engine {
             diagnostics: Diagnostics::default(),
             quarantine: Quarantine::default(),
             polling: Polling::default(),
-            rs485_a: SerialBus::new(now),
-            rs485_b: SerialBus::new(now),
+            rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
+            rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
             can: CanBus::new(network.port(Port::Can).node),
             outputs,
             // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
@@ -278,18 +280,14 @@ impl Engine {
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        let serial = |bus: &SerialBus, port: Port| {
-            let port = self.live.port(port);
-            bus.deadline(port.pause(), port.gap())
-        };
         let silence = self.last_request.filter(|_| self.limits.host_silence_ms > 0);
         [
             self.confirm_until,
             silence.map(|last| last.after(self.host_silence_limit())),
             self.host.deadline(),
             self.polling.deadline(),
-            serial(&self.rs485_a, Port::Rs485A),
-            serial(&self.rs485_b, Port::Rs485B),
+            self.rs485_a.deadline(self.live.port(Port::Rs485A)),
+            self.rs485_b.deadline(self.live.port(Port::Rs485B)),
             self.can.deadline(),
         ]
         .into_iter()

@@ -23,8 +23,9 @@ const _: () = assert!(FRAME_MAX == 513 && content_length(FRAME_MAX) == CONTENT_M
 /// Characters around the pairs: colon, CR, LF.
 const DELIMITERS: usize = 3;
 
-/// Characters of a frame with so many bytes of content.
-const fn frame_length(content: usize) -> usize {
+/// Characters of a frame with so many bytes of content: unit address and protocol data unit.
+#[must_use]
+pub const fn frame_length(content: usize) -> usize {
     content.saturating_add(1).saturating_mul(2).saturating_add(DELIMITERS)
 }
 
@@ -167,6 +168,21 @@ pub(super) fn spread(buffer: &mut [u8], used: usize) -> Result<&[u8], NoSpace> {
         (*colon, *cr, *lf) = (b':', b'\r', b'\n');
     }
     Ok(frame)
+}
+
+/// The character at `index` of the frame around `content`, unit address and protocol data unit: for a sender without room
+/// for the whole frame. `None` past its end.
+#[must_use]
+pub fn character_at(content: &[u8], index: usize) -> Option<u8> {
+    let Some(pairs) = index.checked_sub(1) else { return Some(b':') };
+    let at = pairs / 2;
+    let byte = match at.checked_sub(content.len()) {
+        None => content.get(at).copied()?,
+        Some(0) => checksum::lrc(content),
+        Some(1) => return Some(if pairs % 2 == 0 { b'\r' } else { b'\n' }),
+        Some(_) => return None,
+    };
+    Some(character(if pairs % 2 == 0 { byte >> 4 } else { byte & 0x0F }))
 }
 
 /// What came out of a stream of characters.
@@ -339,6 +355,9 @@ mod tests {
             let request = Request::Other { function: FunctionCode::Unknown(0x41), data: &data[..length] };
             let mut buffer = [0xEE; FRAME_MAX];
             let frame = encode_request(9, &request, &mut buffer).unwrap().to_vec();
+            let whole = [&[9, 0x41], &data[..length]].concat();
+            let singly: Vec<u8> = (0..).map_while(|index| character_at(&whole, index)).collect();
+            assert_eq!((&singly, frame_length(whole.len())), (&frame, frame.len()));
             let mut content = [0xEE; CONTENT_MAX + 1];
             let decoded = Frame::decode(&frame, &mut content).unwrap();
             assert_eq!(Request::decode(decoded.pdu), Ok(request));

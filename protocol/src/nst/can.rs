@@ -256,6 +256,12 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
         self.clear();
     }
 
+    /// Forgets a transfer of `source` that is under way.
+    pub fn forget(&mut self, source: u8) {
+        let of_source = self.contexts.iter_mut().filter(|context| context.source == source);
+        of_source.for_each(|context| context.counter = 0);
+    }
+
     /// Forgets all transfers under way.
     pub fn clear(&mut self) {
         self.contexts.iter_mut().for_each(|context| context.counter = 0);
@@ -494,6 +500,19 @@ mod tests {
         reassembler.push(&frames(1, 2, &[1; 24])[0], at(0));
         let report = reassembler.push(&frames(3, 2, &[3; 5])[0], at(11));
         assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, destination: 2, body: &[3; 5] }));
+    }
+
+    #[test]
+    fn a_forgotten_transfer_is_not_joined_and_the_others_are() {
+        let mut reassembler = Reassembler::<2>::new(2, LIMIT);
+        for source in [1, 3] {
+            reassembler.push(&frames(source, 2, &[source; 12])[0], at(0));
+        }
+        reassembler.forget(1);
+        let report = reassembler.push(&frames(1, 2, &[1; 12])[1], at(0));
+        assert_eq!((report.outcome, report.irregularity), (None, Some(Irregularity::NoFirst)));
+        let report = reassembler.push(&frames(3, 2, &[3; 12])[1], at(0));
+        assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, destination: 2, body: &[3; 12] }));
     }
 
     #[test]

@@ -148,6 +148,7 @@ fn reassembler<const CONTEXTS: usize>() {
         match any(0) {
             0 => reassembler.set_node(byte()),
             1 => reassembler.clear(),
+            2 => reassembler.forget(byte()),
             _ => {
                 if let Some(frame) = can_frame() {
                     sink(reassembler.push(&frame, moment()));

@@ -31,6 +31,8 @@ fn ascii() {
     buffer::<300>(|space| sink(ascii::Frame::decode(bytes(), space)));
     buffer::<600>(|space| sink(ascii::encode_request(byte(), &request(), space)));
     buffer::<600>(|space| sink(ascii::encode_response(byte(), &response(), space)));
+    sink(ascii::character_at(bytes(), size()));
+    sink(ascii::frame_length(size()));
     let mut deframer = if flag() { ascii::Deframer::new() } else { ascii::Deframer::default() };
     while flag() {
         let mut some = bytes();

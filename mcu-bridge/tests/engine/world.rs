@@ -3,7 +3,7 @@
 use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
 use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::modbus::{self, rtu};
+use jointbus_protocol::modbus::{self, ascii, rtu};
 use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
 use jointbus_protocol::nst::can::{Outcome, Reassembler};
 use jointbus_protocol::nst::{self, Daq, RamHardware, Sample, SignEncoding};
@@ -113,11 +113,16 @@ impl World {
     }
 
     fn serial_bus(&mut self, port: Port) -> bool {
-        let frame = self.engine.output(port).to_vec();
+        let mut frame = Vec::new();
+        while let pending @ [_, ..] = self.engine.output(port) {
+            // as much as a driver's queue happens to take
+            let taken = pending.len().min(7 + frame.len() % 5);
+            frame.extend_from_slice(&pending[..taken]);
+            self.engine.consume(port, taken);
+        }
         if frame.is_empty() {
             return false;
         }
-        self.engine.consume(port, frame.len());
         self.tick(frame.len() as u64 * 87);
         if let Some(other) = &self.echo {
             let echo = if other.is_empty() { &frame } else { other };
@@ -125,9 +130,14 @@ impl World {
         }
         self.engine.transmitted(port, self.now);
         self.sent.push((self.now, port, frame.clone()));
-        let mut out = [0; 300];
+        let mut out = [0; 600];
         let reply = match port {
             Port::Rs485A => self.serial_daq.serve_serial(&frame, &mut out).ok(),
+            _ if frame.first() == Some(&b':') => {
+                let mut content = [0; ascii::CONTENT_MAX + 1];
+                let frame = ascii::Frame::decode(&frame, &mut content).expect("an ASCII frame");
+                self.station.serve_ascii(&frame, &mut out).ok()
+            }
             _ => self.station.serve(&frame, &mut out).ok(),
         };
         let Some(reply) = reply.map(<[u8]>::to_vec).filter(|_| !self.unplugged.contains(&port)) else {

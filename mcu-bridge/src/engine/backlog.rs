@@ -1,0 +1,282 @@
+//! What waits for a bus, in which order, and which replies its devices still owe.
+
+use super::counters::count;
+use super::quarantine::Admission;
+use super::transaction::{Expected, Request, Surroundings};
+use heapless::Vec;
+use jointbus_protocol::time::Instant;
+
+/// The requests that wait for a bus, and the replies that its devices owe.
+#[derive(Debug)]
+pub(super) struct Backlog {
+    queue: Queue,
+    pub(super) owed: OwedReplies,
+}
+
+impl Backlog {
+    pub(super) const fn new() -> Self {
+        Self { queue: Queue::new(), owed: OwedReplies::new() }
+    }
+
+    /// Takes a request from the host.
+    pub(super) fn push(&mut self, request: Request) -> Result<(), QueueFull> {
+        self.queue.push(request)
+    }
+
+    /// The next request for the bus: the host's go before the bridge's own polling.
+    pub(super) fn next(&mut self, now: Instant, around: &mut Surroundings<'_>) -> Option<Request> {
+        if self.owed.is_full() {
+            return None;
+        }
+        if around.host.output.has_room()
+            && let Some(request) = self.queue.next(&self.owed, now)
+        {
+            around.host.output.reserve();
+            return Some(request);
+        }
+        loop {
+            let held = |request: &Request| self.owed.holds(request, now);
+            let mut request = around.polling.next(around.bus, around.network, now, held)?;
+            match around.quarantine.admit(request.unit, false, around.limits, now) {
+                Admission::Normal => return Some(request),
+                Admission::Probe => {
+                    request.become_probe(around.limits);
+                    return Some(request);
+                }
+                // no longer due, so the next look finds another slot or none
+                Admission::Refused => around.fail(&request),
+            }
+        }
+    }
+
+    /// Drops the requests that can no longer be sent in time.
+    pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        self.queue.expire(now, around);
+    }
+
+    /// When the next request or reply is given up.
+    pub(super) fn deadline(&self) -> Option<Instant> {
+        self.queue.deadline().into_iter().chain(self.owed.deadline()).min()
+    }
+
+    /// An owed reply came. One to a probe may still show that its device is back.
+    pub(super) fn settle(&mut self, index: usize, now: Instant, around: &mut Surroundings<'_>) {
+        if let Some(unit) = self.owed.settle(index, now) {
+            around.quarantine.answered(unit);
+        }
+    }
+
+    /// Drops everything.
+    pub(super) fn clear(&mut self, around: &mut Surroundings<'_>) {
+        self.queue.clear(around);
+        self.owed = OwedReplies::new();
+    }
+}
+
+/// Requests that wait for a bus.
+#[derive(Debug)]
+struct Queue(Vec<Request, QUEUE>);
+
+/// No further request can wait for the bus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct QueueFull;
+
+/// How many requests wait for a bus, beside the one in flight.
+const QUEUE: usize = 4;
+
+impl Queue {
+    const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    /// Takes a request.
+    fn push(&mut self, request: Request) -> Result<(), QueueFull> {
+        self.0.push(request).map_err(|_| QueueFull)
+    }
+
+    /// Takes out the next request: writes before reads of other units, in order for each unit, also behind one that
+    /// is held because its unit owes a reply.
+    fn next(&mut self, owed: &OwedReplies, now: Instant) -> Option<Request> {
+        let mut chosen = None;
+        for (index, request) in self.0.iter().enumerate() {
+            let behind = self.0.iter().take(index).any(|earlier| earlier.unit == request.unit);
+            if behind || owed.holds(request, now) {
+                continue;
+            }
+            if !request.is_read() {
+                chosen = Some(index);
+                break;
+            }
+            chosen = chosen.or(Some(index));
+        }
+        // the index was found in the same queue a moment ago
+        chosen.filter(|index| *index < self.0.len()).map(|index| self.0.remove(index))
+    }
+
+    /// Drops what can no longer be sent in time.
+    fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+        self.0.retain(|request| {
+            let late = now >= request.expires;
+            if late {
+                count(&mut around.counters.expired);
+                around.fail(request);
+            }
+            !late
+        });
+    }
+
+    /// Drops everything.
+    fn clear(&mut self, around: &mut Surroundings<'_>) {
+        self.0.iter().for_each(|request| around.fail(request));
+        self.0.clear();
+    }
+
+    /// When the first request expires.
+    fn deadline(&self) -> Option<Instant> {
+        self.0.iter().map(|request| request.expires).min()
+    }
+}
+
+/// Replies of one kind that may still come.
+#[derive(Debug, Clone, Copy)]
+struct Owed {
+    expected: Expected,
+    replies: u8,
+    until: Instant,
+    /// A unit that would be out of quarantine if its reply came by then.
+    probed: Option<(u8, Instant)>,
+}
+
+/// How many kinds of reply a bus can be owed; while that many are, it starts no transaction.
+pub(super) const OWED: usize = 4;
+
+/// Replies that devices owe because they let an attempt time out. They number nothing, so until such a reply has come
+/// or the hold-off has passed, it could be taken for the answer to a request like the one that it belongs to.
+#[derive(Debug)]
+pub(super) struct OwedReplies(Vec<Owed, OWED>);
+
+impl OwedReplies {
+    const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    /// So many attempts at a request timed out, the last of which was `sent` then.
+    pub(super) fn add(&mut self, request: &Request, expected: Expected, replies: u8, sent: Instant) {
+        if replies > 0 {
+            let probed = request.probe_window().map(|window| (request.unit, sent.after(window)));
+            let until = sent.after(request.hold_off);
+            // a transaction starts only while there is room, and adds at most once
+            let _ = self.0.push(Owed { expected, replies, until, probed });
+        }
+    }
+
+    /// Whether no further timeout could be remembered.
+    pub(super) fn is_full(&self) -> bool {
+        self.0.is_full()
+    }
+
+    /// Forgets replies that are not to be expected any more; tells whether there were any.
+    pub(super) fn expire(&mut self, now: Instant) -> bool {
+        let before = self.0.len();
+        self.0.retain(|owed| now < owed.until);
+        self.0.len() < before
+    }
+
+    /// When the next one is forgotten.
+    fn deadline(&self) -> Option<Instant> {
+        self.0.iter().map(|owed| owed.until).min()
+    }
+
+    /// Whether a request would have to wait for one.
+    pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
+        request.expected.is_some_and(|asked| {
+            let could_answer = |owed: &Expected| match request.is_split {
+                true => owed.could_answer_part(&asked),
+                false => owed.could_answer(&asked),
+            };
+            self.0.iter().any(|owed| now < owed.until && could_answer(&owed.expected))
+        })
+    }
+
+    /// A reply came, late. A unit that was probed, and that would have been in time but for that.
+    fn settle(&mut self, index: usize, now: Instant) -> Option<u8> {
+        let owed = self.0.get_mut(index)?;
+        owed.replies = owed.replies.saturating_sub(1);
+        let back = owed.probed.filter(|(_, until)| now < *until).map(|(unit, _)| unit);
+        self.0.retain(|owed| owed.replies > 0);
+        back
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Expected> {
+        self.0.iter().map(|owed| &owed.expected)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::config::{Limits, Network};
+    use jointbus_protocol::nst;
+    use jointbus_protocol::time::Duration;
+
+    fn request(unit: u8, function: nst::FunctionCode) -> Request {
+        let network = Network::default();
+        let (number, route) = network.route(16).unwrap();
+        let asked = nst::Request::Command { function, register: 0, length: 1 };
+        let expected = Expected::Nst(nst::serial::ExpectedReply::new(unit, &asked));
+        let start = Instant::from_micros(0);
+        Request::new(unit, function.code(), Some(expected), (Some(number), route), &[unit], start).unwrap()
+    }
+
+    fn order(queue: &mut Queue, owed: &OwedReplies) -> std::vec::Vec<(u8, u8)> {
+        let now = Instant::from_micros(0);
+        std::iter::from_fn(|| queue.next(owed, now)).map(|request| (request.unit, request.function)).collect()
+    }
+
+    const READ: nst::FunctionCode = nst::FunctionCode::Read;
+    const ZERO: nst::FunctionCode = nst::FunctionCode::SetZero;
+
+    #[test]
+    fn writes_go_first_and_units_keep_their_order() {
+        let mut queue = Queue::new();
+        for (unit, function) in [(1, READ), (1, ZERO), (2, READ), (3, ZERO)] {
+            queue.push(request(unit, function)).unwrap();
+        }
+        assert!(queue.push(request(4, READ)).is_err(), "four can wait");
+        let expected = [(3, 0x12), (1, 3), (1, 0x12), (2, 3)];
+        assert_eq!(order(&mut queue, &OwedReplies::new()), expected);
+    }
+
+    #[test]
+    fn a_held_request_holds_its_unit_and_no_other() {
+        let mut queue = Queue::new();
+        for (unit, function) in [(1, READ), (1, ZERO), (2, READ)] {
+            queue.push(request(unit, function)).unwrap();
+        }
+        let mut owed = OwedReplies::new();
+        let owing = Request { hold_off: Duration::from_micros(10), ..request(1, READ) };
+        owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
+        assert_eq!(order(&mut queue, &owed), [(2, 3)]);
+        assert!(!owed.expire(Instant::from_micros(9)));
+        assert!(owed.expire(Instant::from_micros(10)));
+        assert_eq!(order(&mut queue, &owed), [(1, 3), (1, 0x12)]);
+    }
+
+    #[test]
+    fn a_probe_waits_a_part_of_the_period_and_its_reply_counts_as_long_as_any() {
+        let limits = Limits::default();
+        let mut probe = request(1, ZERO);
+        assert_eq!((probe.timeout, probe.probe_window()), (Duration::from_millis(500), None));
+        probe.become_probe(&limits);
+        assert_eq!((probe.timeout, probe.retries), (Duration::from_millis(50), 0));
+        let at = |millis: u64| Instant::from_micros(millis * 1000);
+        for (came, back) in [(499, Some(1)), (500, None)] {
+            let mut owed = OwedReplies::new();
+            owed.add(&probe, probe.expected.unwrap(), 1, at(0));
+            assert_eq!(owed.settle(0, at(came)), back);
+        }
+        let mut shorter = request(1, READ);
+        shorter.become_probe(&Limits { probe_period_ms: 100, ..limits });
+        assert_eq!(shorter.timeout, Duration::from_millis(20), "a device has some time for all that");
+    }
+}

@@ -1,0 +1,190 @@
+//! How a serial bus spells a request on the wire, and how it finds the reply in what it hears.
+
+use super::backlog::{OWED, OwedReplies};
+use super::host::FRAME_MAX;
+use super::transaction::Expected;
+use heapless::Vec;
+use jointbus_protocol::checksum;
+use jointbus_protocol::deframe::{Expectation, ReplySearch};
+use jointbus_protocol::modbus::ascii;
+
+/// Bytes that the search for a reply looks back on.
+const WINDOW: usize = FRAME_MAX + 64;
+
+/// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
+const KINDS: usize = 2 * (OWED + 1);
+
+/// What a bus waits for.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted<'a> {
+    pub(super) in_flight: Option<&'a Expected>,
+    pub(super) owed: &'a OwedReplies,
+}
+
+impl Wanted<'_> {
+    fn all(&self) -> impl Iterator<Item = Option<&Expected>> {
+        core::iter::once(self.in_flight).chain(self.owed.iter().map(Some))
+    }
+}
+
+impl Expectation<KINDS> for Wanted<'_> {
+    fn lengths(&self) -> [usize; KINDS] {
+        let mut lengths = [0; KINDS];
+        let all = self.all().map(|expected| expected.map_or([0; 2], Expected::lengths));
+        lengths.as_chunks_mut::<2>().0.iter_mut().zip(all).for_each(|(place, two)| *place = two);
+        lengths
+    }
+
+    fn accepts(&self, kind: usize, frame: &[u8]) -> bool {
+        self.all().nth(kind / 2).flatten().is_some_and(|expected| expected.accepts(frame))
+    }
+}
+
+/// A frame that a bus heard.
+pub(super) enum Heard<'a> {
+    /// The reply in flight, without address and checksum.
+    Reply(&'a [u8]),
+    /// One that is owed.
+    Owed(usize),
+    /// Whole, and wanted by nobody; RTU and NST frames can't be told from noise then.
+    Foreign,
+    /// Characters that are no frame.
+    Broken,
+}
+
+/// Finds frames in the bytes of a serial bus.
+#[derive(Debug)]
+pub(super) enum Listener {
+    /// NST and Modbus RTU, which nothing delimits: slides to what is wanted.
+    Sliding(ReplySearch<WINDOW, KINDS>),
+    /// Modbus ASCII.
+    Ascii(ascii::Deframer),
+}
+
+impl Listener {
+    pub(super) fn new(is_ascii: bool) -> Self {
+        if is_ascii { Self::Ascii(ascii::Deframer::new()) } else { Self::Sliding(ReplySearch::default()) }
+    }
+
+    /// Takes bytes until a frame comes out or none are left.
+    pub(super) fn feed(&mut self, wanted: Wanted<'_>, bytes: &mut &[u8]) -> Option<Heard<'_>> {
+        match self {
+            Self::Sliding(search) => {
+                let (kind, frame) = search.feed(&wanted, bytes)?;
+                Some(match (kind / 2).checked_sub(1) {
+                    Some(index) => Heard::Owed(index),
+                    None => Heard::Reply(content(frame)),
+                })
+            }
+            Self::Ascii(deframer) => Some(match deframer.feed(bytes)? {
+                ascii::Event::Frame(ascii::Frame { unit, pdu }) => {
+                    let fits = |expected: &Expected| expected.accepts_pdu(unit, pdu);
+                    match wanted.in_flight.is_some_and(fits) {
+                        true => Heard::Reply(pdu),
+                        false => wanted.owed.iter().position(fits).map_or(Heard::Foreign, Heard::Owed),
+                    }
+                }
+                ascii::Event::Dropped(_) => Heard::Broken,
+            }),
+        }
+    }
+
+    /// The line fell silent: a reply of unknown length may end here.
+    pub(super) fn at_silence(&mut self, expected: &Expected) -> Option<&[u8]> {
+        match self {
+            Self::Sliding(search) => search.at_silence(|frame| expected.accepts(frame)).map(content),
+            Self::Ascii(_) => None,
+        }
+    }
+
+    /// Whether a reply could be ended by silence alone.
+    pub(super) const fn is_open(&self) -> bool {
+        matches!(self, Self::Sliding(search) if search.has_leftovers())
+    }
+
+    /// Other kinds are waited for now, perhaps by what was received already.
+    pub(super) const fn start_over(&mut self) {
+        if let Self::Sliding(search) = self {
+            search.start_over();
+        }
+    }
+
+    /// Forgets received bytes that belong to nothing; tells whether there were any.
+    pub(super) fn discard(&mut self) -> bool {
+        match self {
+            Self::Sliding(search) => {
+                let leftovers = search.has_leftovers();
+                search.clear();
+                leftovers
+            }
+            Self::Ascii(deframer) => {
+                let leftovers = deframer.is_inside();
+                deframer.clear();
+                leftovers
+            }
+        }
+    }
+}
+
+/// An RTU or NST frame without address and CRC.
+fn content(frame: &[u8]) -> &[u8] {
+    match frame {
+        [_, content @ .., _, _] => content,
+        _ => &[],
+    }
+}
+
+const _: () = assert!(checksum::CRC_LENGTH == 2);
+
+/// Characters of a Modbus ASCII frame that are spelt out at once.
+const CHUNK: usize = 32;
+
+/// A request on its way onto the line.
+#[derive(Debug, Default)]
+pub(super) struct Outgoing {
+    /// Bytes that the port has taken.
+    handed: usize,
+    /// Modbus ASCII: the characters that start at `chunk_start`.
+    chunk: Option<Vec<u8, CHUNK>>,
+    chunk_start: usize,
+}
+
+impl Outgoing {
+    /// Starts with a request.
+    pub(super) fn start(is_ascii: bool, content: &[u8]) -> Self {
+        let mut outgoing = Self { handed: 0, chunk: is_ascii.then(Vec::new), chunk_start: 0 };
+        outgoing.consume(content, 0);
+        outgoing
+    }
+
+    /// What the port is to send.
+    pub(super) fn pending<'s>(&'s self, content: &'s [u8]) -> &'s [u8] {
+        match &self.chunk {
+            None => content.get(self.handed..),
+            Some(chunk) => chunk.get(self.handed.saturating_sub(self.chunk_start)..),
+        }
+        .unwrap_or(&[])
+    }
+
+    /// The port took so many of the pending bytes.
+    pub(super) fn consume(&mut self, content: &[u8], taken: usize) {
+        self.handed = self.handed.saturating_add(taken.min(self.pending(content).len()));
+        if self.pending(content).is_empty()
+            && let Some(chunk) = &mut self.chunk
+        {
+            self.chunk_start = self.handed;
+            chunk.clear();
+            chunk.extend((self.handed..).map_while(|index| ascii::character_at(content, index)).take(CHUNK));
+        }
+    }
+}
+
+/// Bytes of a request on the wire.
+pub(super) fn wire_length(is_ascii: bool, content: &[u8]) -> usize {
+    if is_ascii { ascii::frame_length(content.len()) } else { content.len() }
+}
+
+/// One byte of a request on the wire.
+pub(super) fn wire_byte(is_ascii: bool, content: &[u8], index: usize) -> Option<u8> {
+    if is_ascii { ascii::character_at(content, index) } else { content.get(index).copied() }
+}
