@@ -257,3 +257,18 @@ fn a_slow_host_link_loses_no_reply() {
     assert_eq!(full + busy, 40, "{length} bytes");
     assert_eq!(world.engine.counters(Port::Host).refused, busy);
 }
+
+#[test]
+fn each_attempt_owes_a_reply_of_its_own() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(120)), []);
+    let late = world.held_back.take().unwrap();
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(5)), []);
+    for (port, reply) in &late {
+        assert_eq!(world.sent.len(), 2, "a reply may still come");
+        world.engine.receive(*port, reply, world.now);
+        world.pass(Duration::from_millis(5));
+    }
+    assert_eq!((late.len(), world.sent.len()), (2, 3));
+}
