@@ -111,7 +111,7 @@ impl Listener {
         matches!(self, Self::Sliding(search) if search.has_leftovers())
     }
 
-    /// Looks anew, because what is wanted has changed.
+    /// Other kinds are waited for now, perhaps by what was received already.
     pub(super) const fn start_over(&mut self) {
         if let Self::Sliding(search) = self {
             search.start_over();

@@ -100,3 +100,17 @@ fn a_frame_that_is_acknowledged_while_it_is_given_up_holds_nothing_up() {
         assert_eq!(world.nst(1, &READ, SOON), axes(1), "the bus is usable again");
     }
 }
+
+#[test]
+fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Can];
+    // parts of 126 and 24 bytes; the first one is asked for twice
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
+    // the first part of the next one has the same length, and waits until three times the timeout have passed
+    let sent = world.engine.counters(Port::Can).sent;
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 200], Duration::from_millis(50)), []);
+    assert_eq!(world.engine.counters(Port::Can).sent, sent);
+    world.pass(Duration::from_millis(45));
+    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
+}

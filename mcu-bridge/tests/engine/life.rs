@@ -134,20 +134,6 @@ fn a_reply_half_received_when_a_hold_off_ends_is_not_lost() {
 }
 
 #[test]
-fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
-    let mut world = World::new();
-    world.unplugged = vec![Port::Can];
-    // parts of 126 and 24 bytes; the first one is asked for twice
-    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
-    // the first part of the next one has the same length, and waits until three times the timeout have passed
-    let sent = world.engine.counters(Port::Can).sent;
-    assert_eq!(world.nst(1, &[0x03, 0, 0, 200], Duration::from_millis(50)), []);
-    assert_eq!(world.engine.counters(Port::Can).sent, sent);
-    world.pass(Duration::from_millis(45));
-    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
-}
-
-#[test]
 fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     // on the serial line, which babbles until the time to live has passed
     let mut world = World::new();
@@ -270,4 +256,19 @@ fn a_slow_host_link_loses_no_reply() {
     }
     assert_eq!(full + busy, 40, "{length} bytes");
     assert_eq!(world.engine.counters(Port::Host).refused, busy);
+}
+
+#[test]
+fn each_attempt_owes_a_reply_of_its_own() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(120)), []);
+    let late = world.held_back.take().unwrap();
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(5)), []);
+    for (port, reply) in &late {
+        assert_eq!(world.sent.len(), 2, "a reply may still come");
+        world.engine.receive(*port, reply, world.now);
+        world.pass(Duration::from_millis(5));
+    }
+    assert_eq!((late.len(), world.sent.len()), (2, 3));
 }
