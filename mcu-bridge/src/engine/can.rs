@@ -2,12 +2,11 @@
 
 use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
-use super::host::FRAME_MAX;
 use super::transaction::{Expected, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
-use jointbus_protocol::nst::{self, FunctionCode, Reply, serial::ExpectedReply};
+use jointbus_protocol::nst::{self, serial::ExpectedReply};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -20,6 +19,9 @@ const CONTEXTS: usize = 2;
 /// Time that the controller stays off the bus the first time, and at most; each time in a row takes twice as long.
 const SHORTEST: Duration = Duration::from_millis(10);
 const LONGEST: Duration = Duration::from_millis(1000);
+
+/// Where the joined reply to a read starts among the bytes kept of it.
+const REPLY_START: usize = nst::COMMAND_LENGTH - nst::REPLY_HEADER;
 
 /// When the controller returns after it went bus-off.
 #[derive(Debug)]
@@ -225,8 +227,19 @@ impl CanBus {
                 flight.phase = Phase::Ready;
             }
             None => {
-                let data = content.get(nst::COMMAND_LENGTH..).unwrap_or(&[]);
-                answer(flight, data, sent, now, around);
+                let function = transaction.request.function;
+                if transaction.request.is_read() {
+                    // in front of the data stands the request's length, in front of that its register
+                    if let Some(content) = self.backlog.content_mut(transaction.place)
+                        && let Some([code, ..]) = content.get_mut(REPLY_START..)
+                    {
+                        *code = function;
+                    }
+                    let reply = self.backlog.content(transaction.place).get(REPLY_START..).unwrap_or(&[]);
+                    around.answer(&transaction.request, reply, sent, now);
+                } else {
+                    around.answer(&transaction.request, &[function, flight.moved], sent, now);
+                }
                 self.finish(around);
             }
         }
@@ -399,19 +412,4 @@ fn part(
     let length = writer.finish().len();
     body.truncate(length);
     Some(Part { expected: ExpectedReply::new(remote, &part), length: part.length() })
-}
-
-/// Joins the parts' replies into the reply to the whole request.
-fn answer(flight: &Flight, joined: &[u8], sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
-    let function = FunctionCode::from_code(flight.transaction.request.function);
-    let reply = if function.is_read() {
-        Reply::Data { function, data: joined }
-    } else {
-        Reply::Acknowledge { function, length: flight.moved }
-    };
-    let mut buffer = [0; FRAME_MAX];
-    let mut writer = Writer::new(&mut buffer);
-    if reply.encode(&mut writer).is_ok() {
-        around.answer(&flight.transaction.request, writer.finish(), sent, now);
-    }
 }

@@ -327,7 +327,7 @@ impl Engine {
             *moved |= old != new;
             *changed |= old != new;
         }
-        live.clone_from(next);
+        *live = *next;
         let [_, rs485_a, rs485_b, can] = moved;
         for (port, moved) in [(Port::Rs485A, rs485_a), (Port::Rs485B, rs485_b)] {
             if moved {

@@ -2,7 +2,7 @@
 
 use super::config::{Limits, Network};
 use super::counters::Counters;
-use super::polling::{Polling, Slot};
+use super::polling::Slot;
 use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
 use super::{Engine, Which};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
@@ -195,6 +195,7 @@ impl Server for Own<'_> {
 
 impl Engine {
     /// Answers a request to the bridge itself.
+    #[inline(never)] // its buffer is not for the other local units
     pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
         self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
         let was_saving = self.saving.is_some();
@@ -329,8 +330,8 @@ impl Engine {
 
     /// Starts with settings that were stored; to be called before anything else.
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
-        self.staged.clone_from(&settings.network);
-        self.confirmed.clone_from(&settings.network);
+        self.staged = settings.network;
+        self.confirmed = settings.network;
         self.set_limits(settings.limits);
         self.set_slots(&SlotSettings::default(), &settings.slots, now);
         self.go_live(Which::Confirmed, now);
@@ -359,6 +360,7 @@ impl Engine {
     }
 
     /// Only a write of register 0 alone gets here: there are no others beside it.
+    #[inline(never)] // what it needs of the stack is not for every write
     fn command(&mut self, command: u16, now: Instant) -> Result<(), ExceptionCode> {
         match command {
             command::APPLY => {
@@ -370,7 +372,7 @@ impl Engine {
             }
             command::CONFIRM => {
                 self.confirm_until = None;
-                self.confirmed.clone_from(&self.live);
+                self.confirmed = self.live;
             }
             // answered when it is done
             command::SAVE if self.saving.is_some() => return Err(ExceptionCode::ServerDeviceBusy),
@@ -378,7 +380,7 @@ impl Engine {
             command::DEFAULTS => {
                 self.staged = Network::default();
                 self.set_limits(Limits::default());
-                self.polling = Polling::default();
+                self.polling.clear();
             }
             command::REBOOT => self.command = Some(Command::Reboot),
             command::CLEAR_COUNTERS => self.clear_counters(),
@@ -391,7 +393,7 @@ impl Engine {
     pub(super) fn roll_back(&mut self, now: Instant) {
         if self.confirm_until.is_some_and(|end| now >= end) {
             self.confirm_until = None;
-            self.staged.clone_from(&self.confirmed);
+            self.staged = self.confirmed;
             self.go_live(Which::Confirmed, now);
         }
     }

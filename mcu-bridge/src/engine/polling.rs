@@ -150,6 +150,11 @@ impl Polling {
         }
     }
 
+    /// Switches all slots off.
+    pub(super) fn clear(&mut self) {
+        self.0.iter_mut().for_each(|slot| *slot = Slot::default());
+    }
+
     pub(super) fn tick(&mut self, now: Instant) {
         self.0.iter_mut().for_each(|slot| slot.tick(now));
     }
