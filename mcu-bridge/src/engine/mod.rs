@@ -99,7 +99,7 @@ impl Engine {
             reply_times: [ReplyTime::default(); ROUTES],
             diagnostics: Diagnostics::default(),
             quarantine: Quarantine::default(),
-            polling: Polling::default(),
+            polling: Polling::new(),
             rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
             rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
             can: CanBus::new(network.port(Port::Can).node),

@@ -4,7 +4,7 @@ use super::backlog::Content;
 use super::config::{Bus, Network, Route};
 use super::listener::Spelling;
 use super::transaction::{Expected, Origin, Request};
-use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
+use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -72,7 +72,7 @@ impl Progress {
 }
 
 /// A polling slot.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Slot {
     /// Unit that it reads, as the host sees it.
     pub unit: u8,
@@ -93,7 +93,27 @@ pub struct Slot {
     next: Instant,
 }
 
+impl Default for Slot {
+    fn default() -> Self {
+        Self::OFF
+    }
+}
+
 impl Slot {
+    /// A slot that reads nothing.
+    pub const OFF: Self = Self {
+        unit: 0,
+        period_100us: 0,
+        sequence: 0,
+        stamp: Instant::from_micros(0),
+        sample: Sample([0; AXES]),
+        missed: 0,
+        failures: 0,
+        has_sample: false,
+        progress: Progress::Idle,
+        next: Instant::from_micros(0),
+    };
+
     /// A slot that starts at once.
     pub(super) fn new(unit: u8, period_100us: u16, now: Instant) -> Self {
         Self { unit, period_100us, next: now, ..Self::default() }
@@ -135,10 +155,14 @@ impl Slot {
 }
 
 /// All slots.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Polling([Slot; SLOTS]);
 
 impl Polling {
+    pub(super) const fn new() -> Self {
+        Self([Slot::OFF; SLOTS])
+    }
+
     pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
         self.0.get(index)
     }
@@ -152,7 +176,7 @@ impl Polling {
 
     /// Switches all slots off.
     pub(super) fn clear(&mut self) {
-        self.0.iter_mut().for_each(|slot| *slot = Slot::default());
+        self.0.iter_mut().for_each(|slot| *slot = Slot::OFF);
     }
 
     pub(super) fn tick(&mut self, now: Instant) {
