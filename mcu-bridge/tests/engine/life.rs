@@ -240,6 +240,44 @@ fn a_request_that_finds_no_silence_is_never_sent_late() {
 }
 
 #[test]
+fn a_full_queue_of_nst_is_silent_and_counted() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    let requests: Vec<u8> = (0..7).flat_map(|index| modbus(16, &[3, 2, 0, 1 + index])).collect();
+    world.engine.receive(Port::Host, &requests, world.now);
+    assert_eq!(world.engine.output(Port::Host), []);
+    assert_eq!(world.engine.counters(Port::Host).refused, 2, "one in flight, four wait");
+}
+
+#[test]
+fn what_expired_does_not_count_towards_quarantine() {
+    let mut world = World::new();
+    world.acknowledge = false;
+    for _ in 0..5 {
+        assert_eq!(world.nst(1, &READ, Duration::from_millis(150)), []);
+    }
+    assert_eq!(world.engine.counters(Port::Can).expired, 5);
+    assert_eq!(world.modbus(247, &[4, 2, 0, 0, 1], SOON), [4, 2, 0, 0]);
+    world.acknowledge = true;
+    assert_eq!(world.nst(1, &READ, SOON), axes(1), "the device was never to blame");
+}
+
+#[test]
+fn the_silence_that_ends_a_burst_can_be_set() {
+    let mut world = World::new();
+    let frame = modbus(32, &[4, 0, 0x40, 0, 1]);
+    let (first, rest) = frame.split_at(3);
+    // 20 ms at first: a pause of 15 ms is inside the frame
+    world.exchange(first, Duration::from_millis(15));
+    assert_eq!(world.exchange(rest, SOON), modbus(32, &[4, 2, 0, 0]));
+    assert_eq!(world.modbus(247, &[6, 0, 0x43, 0, 100], SOON), [6, 0, 0x43, 0, 100]);
+    world.exchange(first, Duration::from_millis(15));
+    assert_eq!(world.exchange(rest, SOON), []);
+    let counters = world.engine.counters(Port::Host);
+    assert_eq!((counters.dropped_bursts, counters.refused), (1, 1), "the second half starts like unit 64");
+}
+
+#[test]
 fn a_slow_host_link_loses_no_reply() {
     let mut world = World::new();
     // nobody fetches replies: requests are held back before room runs out
