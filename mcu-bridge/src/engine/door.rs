@@ -26,6 +26,9 @@ impl Engine {
 
     /// Notices the silence after a burst from the host.
     pub(super) fn end_host_burst(&mut self, now: Instant) {
+        if self.host.deadline().is_none_or(|end| now < end) {
+            return;
+        }
         let mut frame = [0; FRAME_MAX];
         let event = self.host.poll(&HostFormat(&self.live), now).map(|event| apart(event, &mut frame));
         if let Some(event) = event {

@@ -75,6 +75,15 @@ pub struct Engine {
     io: LocalIo,
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
+    /// Nothing has come since [`Engine::poll`] looked, and nothing is due before this.
+    idle: Option<Idle>,
+}
+
+/// Until when there is nothing to do.
+#[derive(Debug, Clone, Copy)]
+enum Idle {
+    Until(Instant),
+    Forever,
 }
 
 impl Engine {
@@ -107,11 +116,13 @@ impl Engine {
             // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
             io: LocalIo::default(),
             last_request: Some(now),
+            idle: None,
         }
     }
 
     /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.
     pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
+        self.idle = None;
         match port {
             Port::Host => self.receive_host(bytes, now),
             Port::Rs485A => self.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
@@ -140,6 +151,10 @@ impl Engine {
 
     /// A serial port took so many bytes of [`Engine::output`].
     pub fn consume(&mut self, port: Port, taken: usize) {
+        if taken == 0 {
+            return;
+        }
+        self.idle = None;
         match port {
             Port::Host => self.output.consume(taken),
             Port::Rs485A => self.rs485_a.consume(taken),
@@ -150,11 +165,13 @@ impl Engine {
 
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
     pub fn transmitted(&mut self, port: Port, now: Instant) {
+        self.idle = None;
         self.on_serial(port, |bus, around| bus.transmitted(now, around));
     }
 
     /// Takes a frame that the CAN port received and that ended at `now`.
     pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
+        self.idle = None;
         let (can, mut around) = self.can_parts();
         can.receive(frame, now, &mut around);
     }
@@ -166,6 +183,7 @@ impl Engine {
 
     /// A frame that the CAN port took was acknowledged on the bus.
     pub fn frame_sent(&mut self, now: Instant) {
+        self.idle = None;
         let (can, mut around) = self.can_parts();
         can.frame_sent(now, &mut around);
     }
@@ -178,6 +196,7 @@ impl Engine {
 
     /// The CAN port has no frame to send any more.
     pub fn frames_aborted(&mut self, now: Instant) {
+        self.idle = None;
         let (can, mut around) = self.can_parts();
         can.aborted(now, &mut around);
     }
@@ -197,6 +216,10 @@ impl Engine {
 
     /// Whether the CAN controller is bus-off now. It returns only when it is restarted: see [`Engine::take_can_restart`].
     pub fn set_bus_off(&mut self, bus_off: bool, now: Instant) {
+        if bus_off == self.can.is_off() {
+            return;
+        }
+        self.idle = None;
         let (can, mut around) = self.can_parts();
         can.set_off(bus_off, now, &mut around);
     }
@@ -272,8 +295,13 @@ impl Engine {
         self.can.quirks()
     }
 
-    /// Does what is due at `now`.
+    /// Does what is due at `now`; where nothing has come since the last time, and nothing is due, that is at once done.
     pub fn poll(&mut self, now: Instant) {
+        match self.idle {
+            Some(Idle::Forever) => return,
+            Some(Idle::Until(until)) if now < until => return,
+            _ => {}
+        }
         self.roll_back(now);
         self.host_silence(now);
         self.polling.tick(now);
@@ -283,6 +311,7 @@ impl Engine {
         }
         let (can, mut around) = self.can_parts();
         can.poll(now, &mut around);
+        self.idle = Some(self.deadline().map_or(Idle::Forever, Idle::Until));
     }
 
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.

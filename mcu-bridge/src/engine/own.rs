@@ -331,6 +331,7 @@ impl Engine {
     /// Starts with settings that were stored; to be called before anything else.
     #[inline(never)] // what it needs of the stack is not needed beside the engine's first state
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
+        self.idle = None;
         self.staged = settings.network;
         self.confirmed = settings.network;
         self.set_limits(settings.limits);
