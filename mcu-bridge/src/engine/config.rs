@@ -287,16 +287,21 @@ impl PortConfig {
     /// Time that so many characters take on a serial port.
     #[must_use]
     pub fn characters(&self, count: usize) -> Duration {
+        Duration::from_micros(self.character_micros(count).into())
+    }
+
+    /// In 32 bits, which the processor divides by itself: a frame has at most 513 characters of 12 bits.
+    fn character_micros(&self, count: usize) -> u32 {
         let bits =
-            9u64.wrapping_add(u64::from(self.stop_bits)).wrapping_add(u64::from(self.parity != Parity::None));
-        let bits = bits.wrapping_mul(u64::try_from(count).unwrap_or(u64::MAX));
-        Duration::from_micros(bits.saturating_mul(1_000_000).div_ceil(u64::from(self.baud().max(1))))
+            9u32.wrapping_add(self.stop_bits.into()).wrapping_add(u32::from(self.parity != Parity::None));
+        let bits = bits.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        bits.saturating_mul(10_000).div_ceil(u32::from(self.rate.max(1)))
     }
 
     /// Three and a half characters: the silence between two frames.
     #[must_use]
     pub fn pause(&self) -> Duration {
-        Duration::from_micros(self.characters(7).as_micros().div_ceil(2))
+        Duration::from_micros(self.character_micros(7).div_ceil(2).into())
     }
 
     /// Silence that the port keeps before a frame.
@@ -311,9 +316,9 @@ impl PortConfig {
     /// Longest time that so many frames of eight bytes take on CAN: 29-bit identifiers, all stuff bits.
     #[must_use]
     pub fn can_frames(&self, count: usize) -> Duration {
-        const BITS: u64 = 160;
-        let bits = BITS.wrapping_mul(u64::try_from(count).unwrap_or(u64::MAX));
-        Duration::from_micros(bits.saturating_mul(1000).div_ceil(u64::from(self.rate.max(1))))
+        const BITS: u32 = 160;
+        let bits = BITS.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        Duration::from_micros(bits.saturating_mul(1000).div_ceil(u32::from(self.rate.max(1))).into())
     }
 }
 

@@ -140,7 +140,9 @@ impl Slot {
         if period == Duration::ZERO || now < self.next {
             return;
         }
-        let late = now.since(self.next).as_micros().checked_div(period.as_micros()).unwrap_or(0);
+        // in 32 bits, which the processor divides by itself; what is later than 71 minutes is counted at the next look
+        let since = u32::try_from(now.since(self.next).as_micros()).unwrap_or(u32::MAX);
+        let late = since.checked_div(u32::from(self.period_100us).wrapping_mul(100)).map_or(0, u64::from);
         self.next = self.next.after(period.times(late.saturating_add(1)));
         // a read that comes late, but within its period, is none that was missed
         let (progress, ended) = match self.progress {

@@ -170,7 +170,8 @@ impl Request {
     /// most, so that the other devices keep their rate.
     pub(super) fn become_probe(&mut self, limits: &Limits) {
         const AT_LEAST: Duration = Duration::from_millis(20);
-        let share = Duration::from_micros(limits.probe_period().as_micros() / 20);
+        // a twentieth of a millisecond is 50 us
+        let share = Duration::from_micros(u64::from(limits.probe_period_ms).wrapping_mul(50));
         self.timeout = self.timeout.min(share.max(AT_LEAST).into());
         self.retries = 0;
     }
