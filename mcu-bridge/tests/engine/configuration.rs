@@ -91,7 +91,7 @@ fn what_waits_on_a_route_that_changes_is_told_and_the_other_buses_go_on() {
     assert_eq!(world.modbus(247, &[6, 1, 0x35, 0, 99], Duration::ZERO), [6, 1, 0x35, 0, 99]);
     let told = world.exchange(&modbus(247, &APPLY), Duration::ZERO);
     let refused = modbus(32, &[0x84, 0x0B]).repeat(3);
-    assert_eq!(told, [refused, modbus(247, &APPLY)].concat(), "one in flight, two that waited");
+    assert_eq!(told, [modbus(247, &APPLY), refused].concat(), "one in flight, two that waited");
     // the sensor's answer comes, and belongs to its request as ever
     let mut held_back = world.held_back.take().unwrap().into_iter();
     let (port, reply) = held_back.find(|(port, _)| *port == Port::Rs485A).unwrap();
