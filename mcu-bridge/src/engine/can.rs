@@ -247,6 +247,7 @@ impl CanBus {
     }
 
     /// Does what is due.
+    #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         self.backlog.owed.expire(now);
         if let Some(flight) = &mut self.flight {

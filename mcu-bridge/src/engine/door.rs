@@ -145,7 +145,13 @@ impl Core {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
         if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
-            return self.serve_local(unit, route.bus, &asked, body, now);
+            if !self.output.has_room() {
+                return self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+            }
+            return match route.bus {
+                Bus::Bridge => self.serve_own(unit, body, now),
+                _ => self.serve_local(unit, route.bus, &asked),
+            };
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
@@ -153,17 +159,14 @@ impl Core {
         self.admit(&route, request, body, now);
     }
 
-    /// Answers for one of the board's own units. Apart, so that a request for a bus goes without its buffer.
+    /// Answers for the board's own outputs or inputs and outputs. Apart, so that a request for a bus goes without its
+    /// buffer.
     #[inline(never)]
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
-        if !self.output.has_room() {
-            return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
-        }
+    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>) {
         let mut out = [0; modbus::PDU_MAX];
         let response = match bus {
             Bus::LocalOutputs => self.outputs.dispatch(asked, &mut out),
-            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut out),
-            _ => return self.serve_own(unit, pdu, now),
+            _ => ndam9010::dispatch(&mut self.io, asked, &mut out),
         };
         if let Ok(response) = response {
             let [counters, ..] = &mut self.counters;

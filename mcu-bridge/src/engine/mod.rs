@@ -104,34 +104,36 @@ impl Engine {
     #[must_use]
     pub fn new(network: &Network, limits: Limits, identity: Identity, now: Instant) -> Self {
         let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs, &nxi6201::Settings::default());
-        let core = Core {
-            identity,
-            health: Health::default(),
-            live: *network,
-            staged: *network,
-            confirmed: *network,
-            confirm_until: None,
-            limits,
-            command: None,
-            saving: None,
-            changed_ports: [false; 4],
-            change: None,
-            output: Output::new(),
-            counters: [Counters::default(); 4],
-            reply_times: [ReplyTime::default(); ROUTES],
-            diagnostics: Diagnostics::default(),
-            quarantine: Quarantine::default(),
-            polling: Polling::new(),
-            rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
-            rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
-            can: CanBus::new(network.port(Port::Can).node),
-            outputs,
-            // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
-            io: LocalIo::default(),
-            last_request: Some(now),
-            idle: None,
-        };
-        Self { host: HostDeframer::new(limits.burst_silence()), core }
+        Self {
+            host: HostDeframer::new(limits.burst_silence()),
+            core: Core {
+                identity,
+                health: Health::default(),
+                live: *network,
+                staged: *network,
+                confirmed: *network,
+                confirm_until: None,
+                limits,
+                command: None,
+                saving: None,
+                changed_ports: [false; 4],
+                change: None,
+                output: Output::new(),
+                counters: [Counters::default(); 4],
+                reply_times: [ReplyTime::default(); ROUTES],
+                diagnostics: Diagnostics::default(),
+                quarantine: Quarantine::default(),
+                polling: Polling::new(),
+                rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
+                rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
+                can: CanBus::new(network.port(Port::Can).node),
+                outputs,
+                // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
+                io: LocalIo::default(),
+                last_request: Some(now),
+                idle: None,
+            },
+        }
     }
 
     /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.

@@ -167,6 +167,7 @@ impl SerialBus {
     }
 
     /// Does what is due.
+    #[inline(never)] // twice there, and what it needs of the stack is not needed elsewhere
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         // the reply in flight may be half received: it has another place among the kinds now
         if self.backlog.owed.expire(now) {
