@@ -339,36 +339,30 @@ pub struct Network {
 
 impl Default for Network {
     fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl Network {
+    /// Ports and routes that nobody has changed.
+    pub const DEFAULT: Self = {
         let mut routes = [Route::UNUSED; ROUTES];
-        let used = [
-            Route::remote(1, 15, Bus::Can, Protocol::NstOverCan, 1),
-            Route::remote(16, 30, Bus::Rs485A, Protocol::Nst, 1),
-            Route::local(31, Bus::LocalOutputs),
-            Route::remote(32, 39, Bus::Rs485B, Protocol::ModbusRtu, 1),
-            Route::local(40, Bus::LocalIo),
-            Route::local(247, Bus::Bridge),
-        ];
-        routes.iter_mut().zip(used).for_each(|(row, used)| *row = used);
-        let can = PortConfig {
-            rate: 1000,
-            parity: Parity::None,
-            stop_bits: 1,
-            gap_100us: 0,
-            node: 127,
-            echo: false,
-        };
+        routes[0] = Route::remote(1, 15, Bus::Can, Protocol::NstOverCan, 1);
+        routes[1] = Route::remote(16, 30, Bus::Rs485A, Protocol::Nst, 1);
+        routes[2] = Route::local(31, Bus::LocalOutputs);
+        routes[3] = Route::remote(32, 39, Bus::Rs485B, Protocol::ModbusRtu, 1);
+        routes[4] = Route::local(40, Bus::LocalIo);
+        routes[5] = Route::local(247, Bus::Bridge);
         let ports = [
             PortConfig::serial(921_600, 0),
             PortConfig::serial(115_200, 0),
             // an NDAM station delimits frames by 10 ms
             PortConfig::serial(19_200, 110),
-            can,
+            PortConfig { rate: 1000, node: 127, ..PortConfig::serial(0, 0) },
         ];
         Self { ports, routes }
-    }
-}
+    };
 
-impl Network {
     /// Whether ports and routes fit together; one that would lock the host out does not.
     #[must_use]
     pub fn is_valid(&self) -> bool {
@@ -427,11 +421,15 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { quarantine_after: 3, probe_period_ms: 1000, host_silence_ms: 0, burst_silence_100us: 200 }
+        Self::DEFAULT
     }
 }
 
 impl Limits {
+    /// Limits that nobody has changed.
+    pub const DEFAULT: Self =
+        Self { quarantine_after: 3, probe_period_ms: 1000, host_silence_ms: 0, burst_silence_100us: 200 };
+
     /// Time between two probes of a device in quarantine.
     #[must_use]
     pub const fn probe_period(&self) -> Duration {

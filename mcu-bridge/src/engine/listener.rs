@@ -63,15 +63,17 @@ pub(super) enum Listener {
 }
 
 impl Listener {
-    pub(super) fn new(is_ascii: bool) -> Self {
-        if is_ascii { Self::Ascii(ascii::Deframer::new()) } else { Self::Sliding(ReplySearch::default()) }
+    pub(super) const fn new() -> Self {
+        Self::Sliding(ReplySearch::new())
     }
 
     /// Starts afresh.
     pub(super) fn reset(&mut self, is_ascii: bool) {
         self.discard();
-        if matches!(self, Self::Ascii(_)) != is_ascii {
-            *self = Self::new(is_ascii);
+        match (&self, is_ascii) {
+            (Self::Sliding(_), true) => *self = Self::Ascii(ascii::Deframer::new()),
+            (Self::Ascii(_), false) => *self = Self::new(),
+            _ => {}
         }
     }
 

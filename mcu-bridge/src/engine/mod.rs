@@ -100,20 +100,20 @@ enum Idle {
 }
 
 impl Engine {
-    /// A bridge that starts at `now`.
+    /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`].
     #[must_use]
-    pub fn new(network: &Network, limits: Limits, identity: Identity, now: Instant) -> Self {
+    pub fn new(identity: Identity, now: Instant) -> Self {
         let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs, &nxi6201::Settings::default());
         Self {
-            host: HostDeframer::new(limits.burst_silence()),
+            host: HostDeframer::new(Limits::DEFAULT.burst_silence()),
             core: Core {
                 identity,
                 health: Health::default(),
-                live: *network,
-                staged: *network,
-                confirmed: *network,
+                live: Network::DEFAULT,
+                staged: Network::DEFAULT,
+                confirmed: Network::DEFAULT,
                 confirm_until: None,
-                limits,
+                limits: Limits::DEFAULT,
                 command: None,
                 saving: None,
                 changed_ports: [false; 4],
@@ -124,9 +124,9 @@ impl Engine {
                 diagnostics: Diagnostics::default(),
                 quarantine: Quarantine::default(),
                 polling: Polling::new(),
-                rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
-                rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
-                can: CanBus::new(network.port(Port::Can).node),
+                rs485_a: SerialBus::new(now),
+                rs485_b: SerialBus::new(now),
+                can: CanBus::new(Network::DEFAULT.port(Port::Can).node),
                 outputs,
                 // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
                 io: LocalIo::default(),

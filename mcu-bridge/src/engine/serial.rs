@@ -64,8 +64,9 @@ pub(super) struct SerialBus {
 }
 
 impl SerialBus {
-    pub(super) fn new(is_ascii: bool, now: Instant) -> Self {
-        Self { backlog: Backlog::new(), flight: None, listener: Listener::new(is_ascii), is_ascii, busy: now }
+    /// A bus that speaks RTU or NST.
+    pub(super) const fn new(now: Instant) -> Self {
+        Self { backlog: Backlog::new(), flight: None, listener: Listener::new(), is_ascii: false, busy: now }
     }
 
     /// Takes a request.

@@ -67,7 +67,7 @@ fn burst<const N: usize>() {
 
 #[inline(never)]
 fn search<const N: usize, const L: usize>() {
-    let mut search = ReplySearch::<N, L>::default();
+    let mut search = if flag() { ReplySearch::<N, L>::default() } else { ReplySearch::new() };
     while flag() {
         let mut some = bytes();
         match any(0) {
