@@ -74,6 +74,7 @@ fn search<const N: usize, const L: usize>() {
             0 => sink(search.feed(&Anything, &mut some)),
             1 => sink(search.at_silence(|_| flag())),
             2 => sink(search.has_leftovers()),
+            3 => search.start_over(),
             _ => search.clear(),
         }
         sink(some);
