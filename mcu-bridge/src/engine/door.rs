@@ -25,6 +25,7 @@ impl Engine {
     }
 
     /// Notices the silence after a burst from the host.
+    #[inline(never)] // seldom, and not beside the rest of what is due
     pub(super) fn end_host_burst(&mut self, now: Instant) {
         let Self { host, core } = self;
         host.set_silence(core.limits.burst_silence());

@@ -327,7 +327,12 @@ impl Engine {
         }
         let (can, mut around) = self.core.can_parts();
         can.poll(now, &mut around);
-        self.core.idle = Some(self.deadline().map_or(Idle::Forever, Idle::Until));
+        self.core.idle = Some(self.idle());
+    }
+
+    #[inline(never)] // what it needs of the stack is not needed beside what is done
+    fn idle(&self) -> Idle {
+        self.deadline().map_or(Idle::Forever, Idle::Until)
     }
 
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
