@@ -6,7 +6,8 @@ use super::polling;
 use super::quarantine::Admission;
 use super::transaction::{Expected, Request, Span, Surroundings, Transaction};
 use heapless::Vec;
-use jointbus_protocol::time::Instant;
+use jointbus_protocol::checksum;
+use jointbus_protocol::time::{Duration, Instant};
 
 /// How many requests wait for a bus, beside the one in flight.
 const QUEUE: usize = 4;
@@ -49,13 +50,23 @@ pub(super) struct Backlog {
     /// One for each that waits, one for that in flight.
     kept: [Kept; QUEUE + 1],
     pub(super) owed: OwedReplies,
+    /// The reply that was taken last, while any are owed.
+    last: Option<Taken>,
+}
+
+/// What tells a reply from another one, and when it ended.
+#[derive(Debug, Clone, Copy)]
+struct Taken {
+    remote: u8,
+    crc: u16,
+    at: Instant,
 }
 
 impl Backlog {
     pub(super) const fn new() -> Self {
         // spelt out: a loop over them would build the whole engine on the stack and copy it
         let kept = [Kept::new(), Kept::new(), Kept::new(), Kept::new(), Kept::new()];
-        Self { queue: Queue::new(), kept, owed: OwedReplies::new() }
+        Self { queue: Queue::new(), kept, owed: OwedReplies::new(), last: None }
     }
 
     /// Takes a request from the host, whose bytes `write` writes.
@@ -145,9 +156,28 @@ impl Backlog {
         self.queue.deadline().into_iter().chain(self.owed.deadline()).min()
     }
 
-    /// An owed reply came. One to a probe may still show that its device is back.
-    pub(super) fn settle(&mut self, index: usize, now: Instant, around: &mut Surroundings<'_>) {
-        if let Some(unit) = self.owed.settle(index, now) {
+    /// A reply answers a request of which others are owed, or will be.
+    pub(super) fn take(&mut self, remote: u8, content: &[u8], now: Instant) {
+        self.last = Some(Taken { remote, crc: checksum::crc16(content), at: now });
+    }
+
+    /// An owed reply came. One to a probe may still show that its device is back. What is the same as the last one and
+    /// ends no later than `copy` after it may be its copy, which nobody owes: the hold-off goes on.
+    pub(super) fn settle(
+        &mut self,
+        index: usize,
+        content: &[u8],
+        copy: Duration,
+        now: Instant,
+        around: &mut Surroundings<'_>,
+    ) {
+        let Some(remote) = self.owed.iter().nth(index).map(Expected::remote) else { return };
+        let former = self.last;
+        self.take(remote, content, now);
+        let is_copy = former.zip(self.last).is_some_and(|(former, new)| {
+            (former.remote, former.crc) == (new.remote, new.crc) && now.since(former.at) <= copy
+        });
+        if !is_copy && let Some(unit) = self.owed.settle(index, now) {
             around.quarantine.answered(unit);
         }
     }
@@ -235,6 +265,10 @@ impl OwedReplies {
         }
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Whether no further timeout could be remembered.
     pub(super) fn is_full(&self) -> bool {
         self.0.is_full()
@@ -283,7 +317,6 @@ mod tests {
     use super::*;
     use crate::engine::config::{Limits, Network};
     use jointbus_protocol::nst;
-    use jointbus_protocol::time::Duration;
 
     fn request(unit: u8, function: nst::FunctionCode) -> Request {
         let network = Network::default();

@@ -204,7 +204,7 @@ impl CanBus {
             });
             count(&mut around.counters.foreign_or_late);
             if let Some(index) = late {
-                self.backlog.settle(index, now, around);
+                self.backlog.settle(index, body, FRAME_PAUSE, now, around);
             }
             return;
         };
@@ -217,6 +217,9 @@ impl CanBus {
         }
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
+        if transaction.unanswered > 0 || !self.backlog.owed.is_empty() {
+            self.backlog.take(source, body, now);
+        }
         let late = core::mem::take(&mut transaction.unanswered);
         self.backlog.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
         let content = self.backlog.content(transaction.place);

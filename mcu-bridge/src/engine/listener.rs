@@ -45,8 +45,8 @@ impl Expectation<KINDS> for Wanted<'_> {
 pub(super) enum Heard<'a> {
     /// The reply in flight, without address and checksum.
     Reply(&'a [u8]),
-    /// One that is owed.
-    Owed(usize),
+    /// One that is owed, likewise.
+    Owed(usize, &'a [u8]),
     /// Whole, and wanted by nobody; RTU and NST frames can't be told from noise then.
     Foreign,
     /// Characters that are no frame.
@@ -83,7 +83,7 @@ impl Listener {
             Self::Sliding(search) => {
                 let (kind, frame) = search.feed(&wanted, bytes)?;
                 Some(match (kind / 2).checked_sub(1) {
-                    Some(index) => Heard::Owed(index),
+                    Some(index) => Heard::Owed(index, content(frame)),
                     None => Heard::Reply(content(frame)),
                 })
             }
@@ -92,7 +92,10 @@ impl Listener {
                     let fits = |expected: &Expected| expected.accepts_pdu(unit, pdu);
                     match wanted.in_flight.is_some_and(fits) {
                         true => Heard::Reply(pdu),
-                        false => wanted.owed.iter().position(fits).map_or(Heard::Foreign, Heard::Owed),
+                        false => match wanted.owed.iter().position(fits) {
+                            Some(index) => Heard::Owed(index, pdu),
+                            None => Heard::Foreign,
+                        },
                     }
                 }
                 ascii::Event::Dropped(_) => Heard::Broken,

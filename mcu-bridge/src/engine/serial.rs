@@ -155,11 +155,20 @@ impl SerialBus {
             match (heard, waiting) {
                 (Heard::Reply(content), Some((request, sent))) => {
                     around.answer(request, content, sent, now);
+                    let remote = in_flight.map_or(0, Expected::remote);
+                    if self.flight.as_ref().is_some_and(|flight| flight.transaction.unanswered > 0)
+                        || !self.backlog.owed.is_empty()
+                    {
+                        self.backlog.take(remote, content, now);
+                    }
                     self.finish(around);
                 }
-                (Heard::Owed(index), _) => {
+                (Heard::Owed(index, content), _) => {
                     count(&mut around.counters.foreign_or_late);
-                    self.backlog.settle(index, now, around);
+                    // a copy follows at once
+                    let length = if self.is_ascii { 2 } else { 1 } * content.len().saturating_add(4);
+                    let copy = around.port.characters(length).plus(around.port.pause());
+                    self.backlog.settle(index, content, copy, now, around);
                 }
                 _ => count(&mut around.counters.foreign_or_late),
             }

@@ -310,3 +310,23 @@ fn each_attempt_owes_a_reply_of_its_own() {
     }
     assert_eq!((late.len(), world.sent.len()), (2, 3));
 }
+
+#[test]
+fn a_copy_of_a_late_reply_settles_nothing_that_another_attempt_owes() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    // the first attempt's reply comes while the second one waits for its own: twice
+    world.engine.receive(Port::Host, &modbus(16, &READ), world.now);
+    world.pass(Duration::from_millis(70));
+    let (port, reply) = world.held_back.replace(Vec::new()).unwrap().remove(0);
+    world.engine.receive(port, &reply.repeat(2), world.now);
+    assert_eq!(world.exchange(&[], Duration::from_millis(1)), modbus(16, &axes(2)));
+    // so the next read of this form waits for what the second attempt owes
+    let other = [0x03, 0x02, 0x03, 0x12];
+    let sent = world.sent.len();
+    assert_eq!(world.nst(16, &other, Duration::from_millis(20)), []);
+    assert_eq!(world.sent.len(), sent);
+    world.engine.receive(port, &reply, world.now);
+    world.pass(Duration::from_millis(5));
+    assert_eq!(world.sent.len(), sent + 1);
+}
