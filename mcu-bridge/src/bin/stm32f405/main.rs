@@ -22,7 +22,7 @@ mod watchdog;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
-    use crate::constants::{CAN_INCOMING, STORE_SIZE};
+    use crate::constants::CAN_INCOMING;
     use crate::flash::Sectors;
     use crate::inputs::Inputs;
     use crate::outputs::{self, Outputs};
@@ -99,7 +99,7 @@ mod app {
         time::start(&mut core.SYST, rcc.clocks.sysclk().raw());
         let mut clock = Clock::default();
         watchdog.stretch();
-        let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
+        let mut store = Store::new(Sectors::new(device.FLASH), 0).ok();
         let mut settings = Settings::default();
         let readable = load(store.as_mut(), &mut settings);
         watchdog.relax();
