@@ -6,6 +6,7 @@ use crate::analog::{Adc, Dac, Pwm};
 use crate::bus::{Bus, Event, IDLE_BITS};
 use crate::bxcan::{BxCan, Interrupts};
 use crate::control::{Control, Line, Query};
+use crate::counter::Counter;
 use crate::flash::{Change, Flash};
 use crate::gpio::{Gpio, Level, Pin};
 use crate::iwdg::Watchdog;
@@ -33,6 +34,7 @@ pub struct Board {
     adc: Adc,
     dac: Dac,
     pwm: Pwm,
+    counter: Counter,
     /// USART2 and USART3.
     usarts: [Usart; 2],
     can: BxCan,
@@ -58,6 +60,7 @@ impl Default for Board {
             adc: Adc::new(),
             dac: Dac::default(),
             pwm: Pwm::default(),
+            counter: Counter::default(),
             usarts: Default::default(),
             can: BxCan::new(),
             bus: Bus::default(),
@@ -88,7 +91,7 @@ impl Board {
         self.watchdog = Watchdog::new();
         self.gpio.reset(now);
         self.adc.reset();
-        (self.dac, self.pwm) = (Dac::default(), Pwm::default());
+        (self.dac, self.pwm, self.counter) = (Dac::default(), Pwm::default(), Counter::default());
         self.usarts.iter_mut().for_each(Usart::reset);
         self.reset_can();
     }
@@ -111,6 +114,12 @@ impl Board {
     /// Timer 3.
     pub const fn pwm(&mut self) -> &mut Pwm {
         &mut self.pwm
+    }
+
+    /// Timer 5, and the frequency of its clock.
+    pub fn counter(&mut self) -> (&mut Counter, u32) {
+        let hz = self.rcc.timclk1_hz();
+        (&mut self.counter, hz)
     }
 
     /// USART2 or USART3, by its index 0 or 1, and the frequency of its clock.
@@ -325,6 +334,9 @@ impl Board {
                 self.adc.connect(channel, value);
             }
             Control::Converter(works) => self.adc.set_working(works),
+            Control::Flaw(index, flaw) => {
+                self.usarts.get_mut(index).into_iter().for_each(|usart| usart.spoil(flaw));
+            }
             Control::PowerCut(changes) => self.changes_left = Some(changes),
             Control::Forget => {
                 self.gpio.forget();

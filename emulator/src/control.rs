@@ -12,6 +12,7 @@
 //! | `pin PC0 1` `0` `z` | puts a level on a pin from outside, or leaves it open |
 //! | `adc 7 4095` | puts a value of 12 bits on a channel of the converter |
 //! | `adc on` `adc off` | the converter's conversions end, or never do |
+//! | `flaw 2 parity` `framing` `noise` `overrun` | what is wrong with the next character that USART2 or 3 receives |
 //! | `cut N` | the power goes in the middle of the Nth change of the flash from now on, and QEMU ends |
 //! | `forget all` | forgets changes of pins and transmissions |
 //!
@@ -25,6 +26,7 @@
 
 use crate::gpio::{Level, Pin};
 use crate::rcc::ResetCause;
+use crate::usart::Flaw;
 
 /// One line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +73,8 @@ pub enum Control {
     Analog(usize, u16),
     /// Whether conversions end.
     Converter(bool),
+    /// What is wrong with the next character that USART2 or USART3 receives, by its index 0 or 1.
+    Flaw(usize, Flaw),
     /// Which change of the flash from now on the power does not outlast, from 1.
     PowerCut(u32),
     /// Forget changes of pins and transmissions.
@@ -100,7 +104,7 @@ impl Query {
         Some(match name {
             "level" => Self::Level(Pin::parse(argument)?),
             "changes" => Self::Changes(Pin::parse(argument)?),
-            "sent" => Self::Sent(["2", "3"].iter().position(|number| *number == argument)?),
+            "sent" => Self::Sent(serial(argument)?),
             "dac" => Self::Dac(argument.parse().ok().filter(|number| (1..=2).contains(number))?),
             "pwm" => Self::Pwm(argument.parse().ok().filter(|number| (1..=4).contains(number))?),
             _ => return None,
@@ -116,6 +120,7 @@ impl Control {
                 argument.parse().ok().filter(|channel| *channel < 19)?,
                 value.parse().ok().filter(|value| *value < 1 << 12)?,
             ),
+            "flaw" => Self::Flaw(serial(argument)?, Flaw::parse(value)?),
             _ => return None,
         })
     }
@@ -138,6 +143,11 @@ impl Control {
             _ => return None,
         })
     }
+}
+
+/// Index of a serial port by its number.
+fn serial(number: &str) -> Option<usize> {
+    ["2", "3"].iter().position(|known| *known == number)
 }
 
 fn switch(word: &str) -> Option<bool> {
@@ -176,6 +186,7 @@ mod tests {
             ("pin PA1 z", Control::Pin(pin, Level(None))),
             ("adc 7 4095", Control::Analog(7, 4095)),
             ("adc off", Control::Converter(false)),
+            ("flaw 3 parity", Control::Flaw(1, Flaw::Parity)),
             ("cut 3", Control::PowerCut(3)),
             ("forget all", Control::Forget),
         ] {
@@ -210,6 +221,8 @@ mod tests {
             "sent 1",
             "dac 0",
             "cut 0",
+            "flaw 1 parity",
+            "flaw 2 ink",
             "pwm 5",
             "adc 0 0 0",
         ] {

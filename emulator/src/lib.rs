@@ -1,7 +1,7 @@
 //! The peripherals of an STM32F405 that the stock emulator lacks, as its plugin.
 //!
-//! [`rcc`], [`bxcan`], [`flash`], [`iwdg`], [`gpio`], [`analog`] and [`usart`] model clock control, CAN controller,
-//! flash, independent watchdog, pins, converters and serial ports as the reference manual (RM0090) describes them;
+//! [`rcc`], [`bxcan`], [`flash`], [`iwdg`], [`gpio`], [`analog`], [`counter`] and [`usart`] model clock control, CAN
+//! controller, flash, independent watchdog, pins, converters, timer 5 and serial ports as the reference manual (RM0090) describes them;
 //! [`bus`] is the CAN bus, [`adapter`] puts it on a byte stream as SLCAN lines, [`control`] names the faults that
 //! tests inject. [`board`] wires them together. None of these knows the emulator, nor time: they are tested on
 //! their own. `plugin` hangs the board into QEMU; it finds QEMU's functions when it is loaded, so this crate links
@@ -13,6 +13,7 @@ pub mod board;
 pub mod bus;
 pub mod bxcan;
 pub mod control;
+pub mod counter;
 pub mod flash;
 pub mod gpio;
 pub mod iwdg;

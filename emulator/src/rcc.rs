@@ -189,6 +189,13 @@ impl Rcc {
         self.hclk_hz() >> shift
     }
 
+    /// Frequency of the timers on the APB1: twice that of the bus, unless that runs as fast as the AHB.
+    #[must_use]
+    pub fn timclk1_hz(&self) -> u32 {
+        let (hclk, pclk1) = (self.hclk_hz(), self.pclk1_hz());
+        if hclk == pclk1 { pclk1 } else { 2 * pclk1 }
+    }
+
     /// Whether CAN1 is held in reset.
     #[must_use]
     pub const fn can1_is_reset(&self) -> bool {

@@ -2,8 +2,8 @@
 //! last stop bit, as baud rate register, format and clock say, and only then is the transmission complete.
 //!
 //! Received bytes come one after the other, each not before its time has passed and not before the one before it has
-//! been read: the model never loses a byte because the emulator was busy elsewhere. Not modelled: errors of reception
-//! and parity, oversampling by 8, DMA, flow control, the synchronous and the other special modes.
+//! been read: the model never loses a byte because the emulator was busy elsewhere. A character can be given an error of
+//! reception, which the firmware clears as it reads it. Not modelled: parity as such, oversampling by 8, DMA, flow control, the synchronous and the other special modes.
 
 use std::collections::VecDeque;
 
@@ -26,6 +26,10 @@ mod offset {
 }
 
 mod sr {
+    pub(super) const PE: u32 = 1;
+    pub(super) const FE: u32 = 1 << 1;
+    pub(super) const NF: u32 = 1 << 2;
+    pub(super) const ORE: u32 = 1 << 3;
     pub(super) const RXNE: u32 = 1 << 5;
     pub(super) const TC: u32 = 1 << 6;
     pub(super) const TXE: u32 = 1 << 7;
@@ -39,6 +43,42 @@ mod cr1 {
     pub(super) const TXEIE: u32 = 1 << 7;
     pub(super) const M: u32 = 1 << 12;
     pub(super) const UE: u32 = 1 << 13;
+}
+
+/// What can be wrong with a received character.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flaw {
+    /// Its parity.
+    Parity,
+    /// Its stop bit.
+    Framing,
+    /// Its samples differed, though the majority was right.
+    Noise,
+    /// Nothing, but the one behind it is lost.
+    Overrun,
+}
+
+impl Flaw {
+    /// A flaw by its name.
+    #[must_use]
+    pub fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "parity" => Self::Parity,
+            "framing" => Self::Framing,
+            "noise" => Self::Noise,
+            "overrun" => Self::Overrun,
+            _ => return None,
+        })
+    }
+
+    const fn flag(self) -> u32 {
+        match self {
+            Self::Parity => sr::PE,
+            Self::Framing => sr::FE,
+            Self::Noise => sr::NF,
+            Self::Overrun => sr::ORE,
+        }
+    }
 }
 
 /// When something was on the wire, in nanoseconds.
@@ -60,6 +100,8 @@ pub struct Usart {
     shifting: Option<(u8, u64)>,
     received: u8,
     incoming: VecDeque<u8>,
+    /// What is wrong with the next character.
+    flaw: Option<Flaw>,
     /// When the first incoming byte has ended.
     arrives: u64,
     outgoing: Vec<u8>,
@@ -74,6 +116,7 @@ impl Default for Usart {
             shifting: None,
             received: 0,
             incoming: VecDeque::new(),
+            flaw: None,
             arrives: 0,
             outgoing: Vec::new(),
             sent: VecDeque::new(),
@@ -102,7 +145,7 @@ impl Usart {
     pub fn read(&mut self, offset: u32) -> u32 {
         match offset & !3 {
             offset::DR => {
-                self.clear(sr::RXNE);
+                self.clear(sr::RXNE | sr::PE | sr::FE | sr::NF | sr::ORE);
                 self.received.into()
             }
             offset if offset < offset::END => self.get(offset),
@@ -141,6 +184,11 @@ impl Usart {
         self.incoming.extend(bytes);
     }
 
+    /// Makes something wrong with the next character that comes.
+    pub const fn spoil(&mut self, flaw: Flaw) {
+        self.flaw = Some(flaw);
+    }
+
     /// Bytes that may be handed over now.
     #[must_use]
     pub fn room(&self) -> usize {
@@ -174,7 +222,11 @@ impl Usart {
             && let Some(byte) = self.incoming.pop_front()
         {
             self.received = byte;
-            self.raise(sr::RXNE);
+            let flaw = self.flaw.take();
+            self.raise(sr::RXNE | flaw.map_or(0, Flaw::flag));
+            if flaw == Some(Flaw::Overrun) {
+                self.incoming.pop_front();
+            }
             self.arrives = now + self.character_ns(hz);
         }
     }
@@ -300,6 +352,28 @@ mod tests {
         assert_eq!(usart.deadline(), Some(174_808));
         usart.step(600_000, HZ);
         assert_eq!(usart.read(offset::DR), 2);
+    }
+
+    #[test]
+    fn a_flaw_comes_with_one_character_and_goes_when_that_is_read() {
+        for (flaw, flag, second) in [
+            (Flaw::Parity, sr::PE, 2),
+            (Flaw::Framing, sr::FE, 2),
+            (Flaw::Noise, sr::NF, 2),
+            (Flaw::Overrun, sr::ORE, 3),
+        ] {
+            let mut usart = usart();
+            usart.spoil(flaw);
+            usart.receive(&[1, 2, 3], 0, HZ);
+            let errors = |status: u32| status & (sr::PE | sr::FE | sr::NF | sr::ORE | sr::RXNE);
+            usart.step(100_000, HZ);
+            assert_eq!(errors(usart.read(offset::SR)), flag | sr::RXNE);
+            assert_eq!(usart.read(offset::DR), 1);
+            assert_eq!(errors(usart.read(offset::SR)), 0);
+            usart.step(300_000, HZ);
+            assert_eq!(errors(usart.read(offset::SR)), sr::RXNE);
+            assert_eq!(usart.read(offset::DR), second);
+        }
     }
 
     #[test]

@@ -87,5 +87,5 @@ pub(crate) fn soak(workspace: &Workspace, how: &Soak) -> Result<()> {
     run::shown(&mut command)?;
     // the flash in memory whose power fails stands in that test
     let cuts = ["test", "--release", "--package", "jointbus-mcu-bridge", "--test", "store"];
-    run::shown(workspace.cargo().args(cuts))
+    run::shown(workspace.cargo().args(cuts).args(["--", "--nocapture"]))
 }

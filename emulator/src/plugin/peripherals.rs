@@ -1,4 +1,4 @@
-//! The registers of pins, converters, timer 3 and serial ports, and the character devices `usart2` and `usart3`.
+//! The registers of pins, converters, timers 3 and 5 and serial ports, and the character devices `usart2` and `usart3`.
 //!
 //! What QEMU hands back as `opaque` is the index of the port or USART.
 
@@ -7,7 +7,7 @@ use super::qemu::{
     CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, Pointer, Qemu, RegionOps, SCALE_NS, opaque_structure,
 };
 use super::{MACHINE, Part, forget, overlay, qemu, received, resume, update, with};
-use crate::{analog, gpio, usart};
+use crate::{analog, counter, gpio, usart};
 use std::ffi::{CStr, c_int, c_uint};
 use std::ptr;
 
@@ -15,6 +15,7 @@ const GPIO_BASE: u64 = 0x4002_0000;
 const ADC_BASE: u64 = 0x4001_2000;
 const DAC_BASE: u64 = 0x4000_7400;
 const TIM3_BASE: u64 = 0x4000_0400;
+const TIM5_BASE: u64 = 0x4000_0C00;
 const USART_BASES: [u64; 2] = [0x4000_4400, 0x4000_4800];
 const USART_INTERRUPTS: [c_int; 2] = [38, 39];
 const USART_DEVICES: [&CStr; 2] = [c"usart2", c"usart3"];
@@ -23,6 +24,7 @@ static GPIO_OPS: RegionOps = RegionOps::new(read_gpio, write_gpio, 1);
 static ADC_OPS: RegionOps = RegionOps::new(read_adc, write_adc, 4);
 static DAC_OPS: RegionOps = RegionOps::new(read_dac, write_dac, 4);
 static TIM3_OPS: RegionOps = RegionOps::new(read_pwm, write_pwm, 2);
+static TIM5_OPS: RegionOps = RegionOps::new(read_counter, write_counter, 2);
 static USART_OPS: RegionOps = RegionOps::new(read_usart, write_usart, 2);
 static USART_HANDLERS: Handlers =
     Handlers { room: usart_room, read: usart_read, event: usart_event, writable: usart_writable };
@@ -107,6 +109,7 @@ pub(super) fn start(qemu: &Qemu) {
     overlay(qemu, ADC_BASE, analog::ADC_SIZE, &ADC_OPS, none, c"jointbus.adc");
     overlay(qemu, DAC_BASE, analog::DAC_SIZE, &DAC_OPS, none, c"jointbus.dac");
     overlay(qemu, TIM3_BASE, analog::TIMER_SIZE, &TIM3_OPS, none, c"jointbus.tim3");
+    overlay(qemu, TIM5_BASE, counter::SIZE, &TIM5_OPS, none, c"jointbus.tim5");
 }
 
 /// The machine's time in nanoseconds.
@@ -160,6 +163,22 @@ extern "C" fn read_pwm(_opaque: Pointer, offset: u64, _size: c_uint) -> u64 {
 
 extern "C" fn write_pwm(_opaque: Pointer, offset: u64, value: u64, _size: c_uint) {
     with(|state| state.board.pwm().write(offset as u32, value as u32));
+}
+
+extern "C" fn read_counter(_opaque: Pointer, offset: u64, _size: c_uint) -> u64 {
+    let now = now();
+    u64::from(with(|state| {
+        let (counter, hz) = state.board.counter();
+        counter.read(offset as u32, now, hz)
+    }))
+}
+
+extern "C" fn write_counter(_opaque: Pointer, offset: u64, value: u64, _size: c_uint) {
+    let now = now();
+    with(|state| {
+        let (counter, hz) = state.board.counter();
+        counter.write(offset as u32, value as u32, now, hz);
+    });
 }
 
 extern "C" fn read_usart(opaque: Pointer, offset: u64, _size: c_uint) -> u64 {

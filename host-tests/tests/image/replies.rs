@@ -112,3 +112,34 @@ fn a_device_in_quarantine_is_refused_at_once_and_returns_with_its_first_answer()
     until(|| client.modbus(RS485_B_UNIT).read_coils(0x0200, 8).is_ok());
     assert_eq!(client.modbus(bridge::UNIT).read_input_registers(QUARANTINED, 1).unwrap(), [0]);
 }
+
+#[test]
+fn a_reply_with_a_broken_character_is_not_taken_and_each_such_character_is_counted() {
+    let limits = Limits { read_ms: 500, retries: 1, hold_off_ms: 1, ..Limits::GENEROUS };
+    let mut bare = Bare::start(&limits);
+    let mut station = bare.device(Port::Usart3);
+    let reply = frame(&[3, 4, 2, 0x12, 0x34]);
+    let Bare { emulator, client } = &mut bare;
+    // what is wrong with the first character of a reply, errors and overruns, and whether it is asked for once more
+    for (flaw, errors, overruns, again) in
+        [("parity", 1, 0, true), ("framing", 1, 0, true), ("noise", 1, 0, false), ("overrun", 0, 1, true)]
+    {
+        let before = bridge::counters(client, port::RS485_B).unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for attempt in 0..if again { 2 } else { 1 } {
+                    assert_eq!(take::<8>(&mut station), frame(&[3, 4, 0, 0x40, 0, 1])[..]);
+                    if attempt == 0 {
+                        emulator.fault(&format!("flaw 3 {flaw}")).unwrap();
+                    }
+                    station.write_all(&reply).unwrap();
+                }
+            });
+            assert_eq!(client.modbus(34).read_input_registers(0x0040, 1).unwrap(), [0x1234], "{flaw}");
+        });
+        let after = bridge::counters(client, port::RS485_B).unwrap();
+        assert_eq!(after.checksum_errors - before.checksum_errors, errors, "{flaw}");
+        assert_eq!(after.overruns - before.overruns, overruns, "{flaw}");
+        assert_eq!(after.retries - before.retries, u32::from(again), "{flaw}");
+    }
+}

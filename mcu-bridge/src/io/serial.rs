@@ -1,82 +1,137 @@
-//! A serial port whose interrupt and main loop share two bounded queues.
+//! A serial port whose interrupt and main loop share two bounded rings of bytes.
 //!
-//! The end of a transmission stands in the same queue as the received bytes, so that a reply is never taken for
-//! something that came before the request had left.
+//! The place of the end of a transmission among the received bytes is kept, so that a reply is never taken for something
+//! that came before the request had left. The rings are no queues of a crate because an interrupt per byte is to be
+//! short: their length is a power of two and known when it is compiled, and all they need are atomic words.
 
 use crate::engine::Engine;
 use crate::engine::config::Port;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use heapless::spsc::{Consumer, Producer, Queue};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
 
-/// Received bytes and ends of transmissions that wait for the main loop, where frames come one behind the other: more
-/// than a whole frame, some 3 ms at the fastest rate.
-pub const INCOMING: usize = 288;
+/// Received bytes that wait for the main loop, where frames come one behind the other: a whole frame, 2.8 ms at the
+/// fastest rate.
+pub const INCOMING: usize = 256;
 
 /// The same where a reply comes at a time, which the main loop takes in while it comes.
 pub const INCOMING_REPLY: usize = 128;
 
 /// Bytes that wait to be sent: a whole frame, so that an RS485 driver is never released inside one.
-pub const OUTGOING: usize = rtu::FRAME_MAX + 1;
+pub const OUTGOING: usize = rtu::FRAME_MAX;
 
-/// What an interrupt reports.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Report(u16);
+/// Bytes handed to the engine at a time.
+const CHUNK: usize = 64;
 
-impl Report {
-    /// The last stop bit has left and the driver is off.
-    pub const TRANSMITTED: Self = Self(0x100);
+/// Bytes from one who puts them in to one who takes them out. The indices count on and on; their difference is what
+/// waits.
+#[derive(Debug)]
+struct Ring<const N: usize> {
+    ends: Ends,
+    bytes: [AtomicU8; N],
+}
 
-    /// A byte came in.
-    #[must_use]
-    pub const fn byte(byte: u8) -> Self {
-        Self(byte as u16)
+#[derive(Debug)]
+struct Ends {
+    put: AtomicU32,
+    taken: AtomicU32,
+}
+
+impl Ends {
+    fn length(&self) -> u32 {
+        self.put.load(Ordering::Acquire).wrapping_sub(self.taken.load(Ordering::Acquire))
     }
 }
 
-/// Queues of a port, with room for `IN` received bytes less one.
+impl<const N: usize> Ring<N> {
+    const MASK: u32 = {
+        assert!(N.is_power_of_two());
+        N as u32 - 1
+    };
+
+    const fn new() -> Self {
+        Self {
+            ends: Ends { put: AtomicU32::new(0), taken: AtomicU32::new(0) },
+            bytes: [const { AtomicU8::new(0) }; N],
+        }
+    }
+
+    /// Puts a byte in, where there is room.
+    #[inline(always)]
+    fn put(&self, byte: u8) -> bool {
+        let put = self.ends.put.load(Ordering::Relaxed);
+        let full = put.wrapping_sub(self.ends.taken.load(Ordering::Acquire)) > Self::MASK;
+        if full {
+            return false;
+        }
+        if let Some(place) = self.bytes.get((put & Self::MASK) as usize) {
+            place.store(byte, Ordering::Relaxed);
+        }
+        self.ends.put.store(put.wrapping_add(1), Ordering::Release);
+        true
+    }
+
+    fn take(&self) -> Option<u8> {
+        let taken = self.ends.taken.load(Ordering::Relaxed);
+        if taken == self.ends.put.load(Ordering::Acquire) {
+            return None;
+        }
+        let byte = self.bytes.get((taken & Self::MASK) as usize)?.load(Ordering::Relaxed);
+        self.ends.taken.store(taken.wrapping_add(1), Ordering::Release);
+        Some(byte)
+    }
+}
+
+/// Rings of a port, with room for `IN` received bytes.
 #[derive(Debug)]
 pub struct Queues<const IN: usize = INCOMING> {
-    incoming: Queue<Report, IN>,
-    outgoing: Queue<u8, OUTGOING>,
+    incoming: Ring<IN>,
     shared: Shared,
 }
 
-/// What interrupt and main loop tell each other beside the queues.
+/// What interrupt and main loop share beside the received bytes.
 #[derive(Debug)]
 struct Shared {
-    /// When the last byte ended: low half of the microseconds.
+    outgoing: Ring<OUTGOING>,
+    /// When the last byte ended.
     last_byte: AtomicU32,
+    /// How many bytes had come when the last transmission ended.
+    ended_at: AtomicU32,
+    /// A transmission ended since the main loop looked last.
+    ended: AtomicBool,
     /// Bytes were lost since the main loop looked last.
     overrun: AtomicBool,
     /// The transmitter has taken a byte, or finished, since the main loop looked last.
     advanced: AtomicBool,
-    /// It has taken a byte, and not finished.
+    /// It has something to send, or has not finished.
     sending: AtomicBool,
+    /// Characters with errors since the main loop looked last.
+    errors: AtomicU32,
 }
 
 impl<const IN: usize> Queues<IN> {
-    /// Empty queues.
+    /// Empty rings; `IN` is a power of two.
     #[must_use]
     pub const fn new() -> Self {
         let shared = Shared {
+            outgoing: Ring::new(),
             last_byte: AtomicU32::new(0),
+            ended_at: AtomicU32::new(0),
+            ended: AtomicBool::new(false),
             overrun: AtomicBool::new(false),
             advanced: AtomicBool::new(false),
             sending: AtomicBool::new(false),
+            errors: AtomicU32::new(0),
         };
-        Self { incoming: Queue::new(), outgoing: Queue::new(), shared }
+        Self { incoming: Ring::new(), shared }
     }
 
     /// The interrupt's end and the main loop's end.
-    pub fn split(&mut self) -> (InterruptSide<'_>, MainSide<'_>) {
-        let (put, get) = self.incoming.split();
-        let (put_out, get_out) = self.outgoing.split();
-        let shared = &self.shared;
+    pub fn split(&mut self) -> (InterruptSide<'_, IN>, MainSide<'_>) {
+        let Self { incoming, shared } = self;
         (
-            InterruptSide { incoming: put, outgoing: get_out, shared },
-            MainSide { incoming: get, outgoing: put_out, shared },
+            InterruptSide { incoming, transmitter: TransmitterSide { ends: &incoming.ends, shared } },
+            MainSide { bytes: &incoming.bytes, ends: &incoming.ends, shared },
         )
     }
 }
@@ -87,118 +142,182 @@ impl<const IN: usize> Default for Queues<IN> {
     }
 }
 
-/// The interrupt's end of a port's queues.
-pub struct InterruptSide<'a> {
-    incoming: Producer<'a, Report>,
-    outgoing: Consumer<'a, u8>,
-    shared: &'a Shared,
+/// The interrupt's end of a port's rings.
+#[derive(Debug)]
+pub struct InterruptSide<'a, const IN: usize = INCOMING> {
+    incoming: &'a Ring<IN>,
+    /// What sends.
+    pub transmitter: TransmitterSide<'a>,
 }
 
-impl InterruptSide<'_> {
+impl<const IN: usize> InterruptSide<'_, IN> {
     /// A byte ended at `micros`, the low half of the microseconds since boot.
-    #[inline]
+    #[inline(always)]
     pub fn received(&mut self, byte: u8, micros: u32) {
-        self.shared.last_byte.store(micros, Ordering::Relaxed);
-        if self.incoming.enqueue(Report::byte(byte)).is_err() {
-            self.lost();
+        let shared = self.transmitter.shared;
+        shared.last_byte.store(micros, Ordering::Relaxed);
+        if !self.incoming.put(byte) {
+            shared.overrun.store(true, Ordering::Relaxed);
         }
+    }
+
+    /// A byte came whose parity or stop bit was wrong. Its complement takes its place: a frame around it keeps its length,
+    /// and as all that is wrong lies within eight bits, its checksum is certain not to fit.
+    pub fn received_broken(&mut self, byte: u8, micros: u32) {
+        self.noisy();
+        self.received(!byte, micros);
+    }
+
+    /// There was noise on the line, or something else wrong with a byte.
+    pub fn noisy(&mut self) {
+        self.transmitter.shared.errors.fetch_add(1, Ordering::Relaxed);
     }
 
     /// The port lost bytes.
     pub fn lost(&mut self) {
-        self.shared.overrun.store(true, Ordering::Relaxed);
+        self.transmitter.shared.overrun.store(true, Ordering::Relaxed);
     }
 
+    /// Whether the transmitter has something to do.
+    #[inline(always)]
+    #[must_use]
+    pub fn is_sending(&self) -> bool {
+        self.transmitter.shared.sending.load(Ordering::Relaxed)
+    }
+
+    /// See [`TransmitterSide::transmitted`].
+    pub fn transmitted(&mut self) {
+        self.transmitter.transmitted();
+    }
+
+    /// See [`TransmitterSide::next_byte`].
+    pub fn next_byte(&mut self) -> Option<u8> {
+        self.transmitter.next_byte()
+    }
+
+    /// See [`TransmitterSide::is_drained`].
+    #[must_use]
+    pub fn is_drained(&self) -> bool {
+        self.transmitter.is_drained()
+    }
+}
+
+/// What the transmitter has of the interrupt's end, alike for all ports.
+#[derive(Debug)]
+pub struct TransmitterSide<'a> {
+    ends: &'a Ends,
+    shared: &'a Shared,
+}
+
+impl TransmitterSide<'_> {
     /// The last stop bit has left and the driver is off.
     pub fn transmitted(&mut self) {
-        self.shared.advanced.store(true, Ordering::Relaxed);
+        let shared = self.shared;
+        shared.advanced.store(true, Ordering::Relaxed);
+        shared.sending.store(false, Ordering::Relaxed);
+        shared.ended_at.store(self.ends.put.load(Ordering::Relaxed), Ordering::Relaxed);
+        shared.ended.store(true, Ordering::Release);
+    }
+
+    /// There was nothing to send after all.
+    pub fn stop(&mut self) {
         self.shared.sending.store(false, Ordering::Relaxed);
-        if self.incoming.enqueue(Report::TRANSMITTED).is_err() {
-            self.lost();
-        }
     }
 
     /// The next byte to send.
-    #[inline]
     pub fn next_byte(&mut self) -> Option<u8> {
-        let byte = self.outgoing.dequeue()?;
+        let byte = self.shared.outgoing.take()?;
         self.shared.advanced.store(true, Ordering::Relaxed);
-        self.shared.sending.store(true, Ordering::Relaxed);
         Some(byte)
     }
 
     /// Whether nothing is left to send.
     #[must_use]
     pub fn is_drained(&self) -> bool {
-        !self.outgoing.ready()
+        self.shared.outgoing.ends.length() == 0
     }
 }
 
-/// The main loop's end of a port's queues.
+/// The main loop's end of a port's rings.
+#[derive(Debug)]
 pub struct MainSide<'a> {
-    incoming: Consumer<'a, Report>,
-    outgoing: Producer<'a, u8>,
+    bytes: &'a [AtomicU8],
+    ends: &'a Ends,
     shared: &'a Shared,
 }
 
 impl MainSide<'_> {
-    /// Whether the interrupt has put something down.
+    /// Whether the interrupt has put nothing down.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        !self.incoming.ready()
+        self.ends.length() == 0 && !self.shared.ended.load(Ordering::Relaxed)
+    }
+
+    /// Whether the last stop bit of all that was to be sent has left.
+    #[must_use]
+    pub fn is_quiet(&self) -> bool {
+        !self.shared.sending.load(Ordering::Relaxed)
     }
 
     /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
     pub fn advances(&mut self) -> bool {
-        let advanced = self.shared.advanced.swap(false, Ordering::Relaxed);
-        advanced || self.outgoing.is_empty() && !self.shared.sending.load(Ordering::Relaxed)
+        self.shared.advanced.swap(false, Ordering::Relaxed) || self.is_quiet()
     }
 
     /// Carries what came in to the engine.
     pub fn carry_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
+        for _ in 0..self.shared.errors.swap(0, Ordering::Relaxed) {
+            engine.receive_error(port);
+        }
         if self.shared.overrun.swap(false, Ordering::Relaxed) {
             engine.overrun(port);
         }
-        let mut chunk = heapless::Vec::<u8, 64>::new();
-        // no more than the queue holds, so that a babbling line cannot keep the main loop here
-        for _ in 0..INCOMING {
-            match self.incoming.dequeue() {
-                Some(Report::TRANSMITTED) => {
-                    self.flush(&mut chunk, engine, port, now);
-                    engine.transmitted(port, now);
-                }
-                Some(Report(byte)) => {
-                    let [byte, _] = byte.to_le_bytes();
-                    if chunk.is_full() {
-                        self.flush(&mut chunk, engine, port, now);
-                    }
-                    // there is room now
-                    let _ = chunk.push(byte);
-                }
-                None => break,
-            }
+        // what comes from here on waits for the next turn, so that a babbling line cannot keep the main loop here
+        let put = self.ends.put.load(Ordering::Acquire);
+        let ended = self.shared.ended.load(Ordering::Acquire);
+        let ended_at = self.shared.ended_at.load(Ordering::Relaxed);
+        if ended && put.wrapping_sub(ended_at) <= u32::MAX / 2 {
+            self.shared.ended.store(false, Ordering::Relaxed);
+            self.carry_until(ended_at, engine, port, now);
+            engine.transmitted(port, now);
         }
-        self.flush(&mut chunk, engine, port, now);
+        self.carry_until(put, engine, port, now);
+    }
+
+    fn carry_until(&mut self, until: u32, engine: &mut Engine, port: Port, now: Instant) {
+        let mut taken = self.ends.taken.load(Ordering::Relaxed);
+        while taken != until {
+            let (mut chunk, mut length) = ([0; CHUNK], 0usize);
+            for place in &mut chunk {
+                if taken == until {
+                    break;
+                }
+                // the length is a power of two
+                let index = taken as usize & self.bytes.len().wrapping_sub(1);
+                *place = self.bytes.get(index).map_or(0, |byte| byte.load(Ordering::Relaxed));
+                taken = taken.wrapping_add(1);
+                length = length.wrapping_add(1);
+            }
+            self.ends.taken.store(taken, Ordering::Release);
+            let at = recent(now, self.shared.last_byte.load(Ordering::Relaxed));
+            engine.receive(port, chunk.get(..length).unwrap_or(&chunk), at);
+        }
     }
 
     /// Carries what the engine has to send to the interrupt; tells whether there was any.
     pub fn carry_out(&mut self, engine: &mut Engine, port: Port) -> bool {
         let mut taken = 0usize;
         for byte in engine.output(port) {
-            if self.outgoing.enqueue(*byte).is_err() {
+            if !self.shared.outgoing.put(*byte) {
                 break;
             }
             taken = taken.saturating_add(1);
         }
         engine.consume(port, taken);
-        taken > 0
-    }
-
-    fn flush(&self, chunk: &mut heapless::Vec<u8, 64>, engine: &mut Engine, port: Port, now: Instant) {
-        if !chunk.is_empty() {
-            engine.receive(port, chunk, recent(now, self.shared.last_byte.load(Ordering::Relaxed)));
-            chunk.clear();
+        if taken > 0 {
+            self.shared.sending.store(true, Ordering::Release);
         }
+        taken > 0
     }
 }
 
@@ -273,6 +392,60 @@ mod tests {
         interrupt.transmitted();
         assert!(main.advances());
         assert!(main.advances(), "there is nothing to send");
+    }
+
+    #[test]
+    fn a_frame_with_a_broken_character_is_never_taken_and_the_character_is_counted() {
+        let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
+        let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
+            jointbus_protocol::modbus::Range::new(0, 1),
+        );
+        let mut buffer = [0; 16];
+        let frame = rtu::encode_request(247, &request, &mut buffer).unwrap();
+        for broken in 0..frame.len() {
+            let mut now = Instant::from_micros(0);
+            let mut engine = Engine::new(&Network::default(), Limits::default(), identity, now);
+            let mut queues = Queues::<INCOMING>::new();
+            let (mut interrupt, mut main) = queues.split();
+            for (index, byte) in frame.iter().enumerate() {
+                // what is wrong may be the parity or stop bit alone
+                if index == broken {
+                    interrupt.received_broken(*byte, 0)
+                } else {
+                    interrupt.received(*byte, 0)
+                }
+            }
+            main.carry_in(&mut engine, Port::Host, now);
+            assert!(!main.carry_out(&mut engine, Port::Host), "taken with byte {broken} broken");
+            assert!(engine.counters(Port::Host).checksum_errors >= 1);
+            now = Instant::from_micros(1_000_000);
+            engine.poll(now);
+            frame.iter().for_each(|byte| interrupt.received(*byte, 1_000_000));
+            main.carry_in(&mut engine, Port::Host, now);
+            assert!(main.carry_out(&mut engine, Port::Host), "the next one is");
+        }
+    }
+
+    #[test]
+    fn the_end_of_a_transmission_keeps_its_place_among_the_bytes() {
+        let mut queues = Queues::<INCOMING_REPLY>::new();
+        let (mut interrupt, main) = queues.split();
+        assert!(main.is_idle());
+        (0..3).for_each(|_| interrupt.received(0x55, 0));
+        interrupt.transmitted();
+        interrupt.received(0xAA, 0);
+        let (ended_at, put) = (&main.shared.ended_at, &main.ends.put);
+        assert_eq!((ended_at.load(Ordering::Relaxed), put.load(Ordering::Relaxed)), (3, 4));
+        assert!(!main.is_idle());
+    }
+
+    #[test]
+    fn a_ring_goes_round() {
+        let ring = Ring::<4>::new();
+        for first in 0..100 {
+            assert!((first..first + 4).all(|byte| ring.put(byte)) && !ring.put(0));
+            assert!((first..first + 4).all(|byte| ring.take() == Some(byte)) && ring.take().is_none());
+        }
     }
 
     #[test]

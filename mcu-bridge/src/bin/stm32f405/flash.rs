@@ -1,7 +1,7 @@
 //! The two flash sectors that hold the stored settings (RM0090, chapter 3), with a bound on every wait.
 //!
 //! While a sector is erased the processor can't fetch from the flash either: everything stands still for one to two
-//! seconds. That happens once in some 280 saves, and the host waits for the answer to its save meanwhile.
+//! seconds. That happens once in some 290 saves, and the host waits for the answer to its save meanwhile.
 
 use crate::constants::{FLASH_LIMIT_US, STORE_BASE, STORE_FIRST_SECTOR, STORE_SECTOR, STORE_SIZE};
 use crate::time;

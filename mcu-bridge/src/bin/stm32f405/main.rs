@@ -22,12 +22,12 @@ mod watchdog;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use crate::bxcan::{self, BusError, Received};
-    use crate::constants::{CAN_INCOMING, STORE_SIZE};
+    use crate::constants::CAN_INCOMING;
     use crate::flash::Sectors;
     use crate::inputs::Inputs;
     use crate::outputs::{self, Outputs};
     use crate::time::{self, Clock};
-    use crate::uart::{Registers, Uart};
+    use crate::uart::{self, Registers, Uart};
     use crate::watchdog::Watchdog;
     use crate::{clocks, pins, reset};
     use core::mem::MaybeUninit;
@@ -36,7 +36,7 @@ mod app {
     use jointbus_mcu_bridge::engine::config::Port;
     use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, Settings};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
-    use jointbus_mcu_bridge::io::serial::{INCOMING_REPLY, MainSide, Queues, recent};
+    use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
     use jointbus_protocol::can::Frame;
     use jointbus_protocol::time::Instant;
@@ -62,12 +62,18 @@ mod app {
     /// What has advanced since the watchdog was fed.
     static MARKS: Marks = Marks::new();
 
-    #[shared]
-    struct Shared {
-        uart1: Uart,
-        uart2: Uart,
-        uart3: Uart,
+    /// A serial port as the main loop has it.
+    pub struct Line {
+        port: Port,
+        part: Part,
+        queues: MainSide<'static>,
+        interrupt: Interrupt,
+        usart: Registers,
+        bus_hz: u32,
     }
+
+    #[shared]
+    struct Shared {}
 
     #[local]
     struct Local {
@@ -76,7 +82,10 @@ mod app {
         watchdog: Watchdog,
         inputs: Inputs,
         outputs: Outputs,
-        ports: [(Port, Part, MainSide<'static>, Interrupt); 3],
+        lines: [Line; 3],
+        uart1: Uart<INCOMING>,
+        uart2: Uart<INCOMING_REPLY>,
+        uart3: Uart<INCOMING_REPLY>,
         /// `None` where the controller does not answer.
         can: Option<u32>,
         store: Option<Store<Sectors>>,
@@ -86,7 +95,7 @@ mod app {
 
     #[init(local = [
         place: MaybeUninit<Engine> = MaybeUninit::uninit(),
-        host: Queues = Queues::new(),
+        host: Queues<INCOMING> = Queues::new(),
         buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
         can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
     ])]
@@ -96,10 +105,10 @@ mod app {
         let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
         let (mut rcc, crystal) = clocks::start(device.RCC);
-        time::start(&mut core.SYST, rcc.clocks.sysclk().raw());
+        time::start(&device.TIM5, &mut core.SYST, &mut rcc);
         let mut clock = Clock::default();
         watchdog.stretch();
-        let mut store = Store::new(Sectors::new(device.FLASH), 0..STORE_SIZE).ok();
+        let mut store = Store::new(Sectors::new(device.FLASH), 0).ok();
         let mut settings = Settings::default();
         let readable = load(store.as_mut(), &mut settings);
         watchdog.relax();
@@ -119,21 +128,20 @@ mod app {
         let [second, third] = cx.local.buses;
         let (in1, main1) = cx.local.host.split();
         let ((in2, main2), (in3, main3)) = (second.split(), third.split());
-        let uart1 = Uart::new(Registers::of(device.USART1), pclk2, None, in1, network.port(Port::Host));
-        let uart2 = Uart::new(
-            Registers::of(device.USART2),
-            pclk1,
-            Some(pins::DRIVER_A),
-            in2,
-            network.port(Port::Rs485A),
-        );
-        let uart3 = Uart::new(
-            Registers::of(device.USART3),
-            pclk1,
-            Some(pins::DRIVER_B),
-            in3,
-            network.port(Port::Rs485B),
-        );
+        let line = |port, part, queues, interrupt, usart, bus_hz| {
+            uart::configure(usart, bus_hz, network.port(port));
+            Line { port, part, queues, interrupt, usart, bus_hz }
+        };
+        let (usart1, usart2, usart3) =
+            (Registers::of(device.USART1), Registers::of(device.USART2), Registers::of(device.USART3));
+        let uart1 = Uart::new(usart1, None, in1);
+        let uart2 = Uart::new(usart2, Some(pins::DRIVER_A), in2);
+        let uart3 = Uart::new(usart3, Some(pins::DRIVER_B), in3);
+        let lines = [
+            line(Port::Host, Part::Host, main1, Interrupt::USART1, usart1, pclk2),
+            line(Port::Rs485A, Part::Rs485A, main2, Interrupt::USART2, usart2, pclk1),
+            line(Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
+        ];
 
         CAN1::enable(&mut rcc);
         CAN1::reset(&mut rcc);
@@ -148,40 +156,51 @@ mod app {
             defaulted: !readable,
         });
 
-        let ports = [
-            (Port::Host, Part::Host, main1, Interrupt::USART1),
-            (Port::Rs485A, Part::Rs485A, main2, Interrupt::USART2),
-            (Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3),
-        ];
         (
-            Shared { uart1, uart2, uart3 },
-            Local { engine, clock, watchdog, inputs, outputs, ports, can, store, frames_in, frames },
+            Shared {},
+            Local {
+                engine,
+                clock,
+                watchdog,
+                inputs,
+                outputs,
+                lines,
+                uart1,
+                uart2,
+                uart3,
+                can,
+                store,
+                frames_in,
+                frames,
+            },
         )
     }
 
     #[idle(
-        local = [engine, clock, watchdog, inputs, outputs, ports, can, store, frames, rebooting: bool = false],
-        shared = [uart1, uart2, uart3]
+        local = [engine, clock, watchdog, inputs, outputs, lines, can, store, frames, rebooting: bool = false]
     )]
-    fn idle(mut cx: idle::Context) -> ! {
+    fn idle(cx: idle::Context) -> ! {
         let local = cx.local;
         loop {
             let now = local.clock.now();
             let analog = local.inputs.analog(now.as_micros() as u32);
             local.engine.set_inputs(local.inputs.digital(), analog);
             MARKS.set(Part::Inputs);
-            for (port, _, queues, _) in local.ports.iter_mut() {
-                queues.carry_in(local.engine, *port, now);
+            for line in local.lines.iter_mut() {
+                line.queues.carry_in(local.engine, line.port, now);
             }
             carry_can_in(local.engine, local.frames, now);
             poll(local.engine, now);
 
-            for (port, part, queues, interrupt) in local.ports.iter_mut() {
-                if queues.carry_out(local.engine, *port) {
-                    rtic::pend(*interrupt);
+            for line in local.lines.iter_mut() {
+                if line.queues.carry_out(local.engine, line.port) {
+                    rtic::pend(line.interrupt);
                 }
-                if queues.advances() {
-                    MARKS.set(*part);
+                if line.queues.advances() {
+                    MARKS.set(line.part);
+                }
+                if let Some(config) = local.engine.take_port_change(line.port) {
+                    uart::configure(line.usart, line.bus_hz, &config);
                 }
             }
             if local.can.is_some() {
@@ -191,15 +210,6 @@ mod app {
             local.outputs.apply(local.engine.analog_outputs());
             outputs::drive_digital(local.engine.digital_outputs());
 
-            if let Some(config) = local.engine.take_port_change(Port::Host) {
-                cx.shared.uart1.lock(|uart| uart.configure(&config));
-            }
-            if let Some(config) = local.engine.take_port_change(Port::Rs485A) {
-                cx.shared.uart2.lock(|uart| uart.configure(&config));
-            }
-            if let Some(config) = local.engine.take_port_change(Port::Rs485B) {
-                cx.shared.uart3.lock(|uart| uart.configure(&config));
-            }
             if let (Some(config), Some(bus_hz)) = (local.engine.take_port_change(Port::Can), *local.can)
                 && bxcan::start(can(), bus_hz, config.rate, config.node).is_err()
             {
@@ -211,8 +221,8 @@ mod app {
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
-            let answered = local.engine.output(Port::Host).is_empty();
-            if *local.rebooting && answered && cx.shared.uart1.lock(|uart| uart.is_quiet()) {
+            let [host, ..] = &local.lines;
+            if *local.rebooting && local.engine.output(host.port).is_empty() && host.queues.is_quiet() {
                 reset::by_command();
             }
             MARKS.set(Part::Loop);
@@ -221,7 +231,7 @@ mod app {
             }
             // an interrupt between the look and the sleep ends the sleep at once
             cortex_m::interrupt::free(|_| {
-                if local.ports.iter().all(|(_, _, queues, _)| queues.is_idle()) && !local.frames.ready() {
+                if local.lines.iter().all(|line| line.queues.is_idle()) && !local.frames.ready() {
                     cortex_m::asm::wfi();
                 }
             });
@@ -334,8 +344,9 @@ mod app {
 
     #[task(binds = SysTick, priority = 4)]
     fn tick(_: tick::Context) {
-        time::tick();
-        MARKS.set(Part::Tick);
+        if time::tick() {
+            MARKS.set(Part::Tick);
+        }
     }
 
     #[task(binds = CAN1_RX0, priority = 3, local = [frames_in])]
@@ -375,18 +386,18 @@ mod app {
         counter.fetch_add(1, Ordering::Relaxed);
     }
 
-    #[task(binds = USART1, priority = 2, shared = [uart1])]
-    fn host(mut cx: host::Context) {
-        cx.shared.uart1.lock(|uart| uart.on_interrupt(time::micros()));
+    #[task(binds = USART1, priority = 2, local = [uart1])]
+    fn host(cx: host::Context) {
+        cx.local.uart1.on_interrupt();
     }
 
-    #[task(binds = USART2, priority = 2, shared = [uart2])]
-    fn rs485_a(mut cx: rs485_a::Context) {
-        cx.shared.uart2.lock(|uart| uart.on_interrupt(time::micros()));
+    #[task(binds = USART2, priority = 2, local = [uart2])]
+    fn rs485_a(cx: rs485_a::Context) {
+        cx.local.uart2.on_interrupt();
     }
 
-    #[task(binds = USART3, priority = 2, shared = [uart3])]
-    fn rs485_b(mut cx: rs485_b::Context) {
-        cx.shared.uart3.lock(|uart| uart.on_interrupt(time::micros()));
+    #[task(binds = USART3, priority = 2, local = [uart3])]
+    fn rs485_b(cx: rs485_b::Context) {
+        cx.local.uart3.on_interrupt();
     }
 }

@@ -1,21 +1,31 @@
-//! Microseconds since boot, from SysTick: the one timer that counts alike on the chip and in the emulator.
+//! Microseconds since boot, from timer 5, whose counter one load reads; and the tick that wakes the main loop.
 
 use crate::constants::TICK_US;
 use core::sync::atomic::{AtomicU32, Ordering};
+use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
-use cortex_m::peripheral::{SCB, SYST};
 use jointbus_protocol::time::Instant;
+use stm32f4xx_hal::pac::TIM5;
+use stm32f4xx_hal::rcc::{Enable, Rcc, Reset};
 
-/// Ticks since boot.
-static TICKS: AtomicU32 = AtomicU32::new(0);
+/// What the last tick saw.
+static LAST: AtomicU32 = AtomicU32::new(0);
 
-/// Core cycles in a microsecond.
-static CYCLES: AtomicU32 = AtomicU32::new(1);
+/// Starts the counter and the tick.
+pub fn start(timer: &TIM5, syst: &mut SYST, rcc: &mut Rcc) {
+    TIM5::enable(rcc);
+    TIM5::reset(rcc);
+    let divider = (rcc.clocks.timclk1().raw() / 1_000_000).max(1);
+    // SAFETY: any value is a prescaler, and all of the 32 bits a period
+    unsafe {
+        timer.psc().write(|w| w.psc().bits((divider - 1) as u16));
+        timer.arr().write(|w| w.bits(u32::MAX));
+    }
+    // the prescaler is in force from the next update on
+    timer.egr().write(|w| w.ug().set_bit());
+    timer.cr1().write(|w| w.cen().set_bit());
 
-/// Starts the tick.
-pub fn start(syst: &mut SYST, core_hz: u32) {
-    let cycles = (core_hz / 1_000_000).max(1);
-    CYCLES.store(cycles, Ordering::Relaxed);
+    let cycles = (rcc.clocks.sysclk().raw() / 1_000_000).max(1);
     syst.set_clock_source(SystClkSource::Core);
     syst.set_reload(cycles * TICK_US - 1);
     syst.clear_current();
@@ -23,42 +33,27 @@ pub fn start(syst: &mut SYST, core_hz: u32) {
     syst.enable_counter();
 }
 
-/// The tick's interrupt.
-pub fn tick() {
-    TICKS.fetch_add(1, Ordering::Relaxed);
+/// The tick's interrupt; tells whether time has passed.
+pub fn tick() -> bool {
+    let now = micros();
+    LAST.swap(now, Ordering::Relaxed) != now
 }
 
 /// Low half of the microseconds since boot, from anywhere.
+#[inline(always)]
 pub fn micros() -> u32 {
-    let cycles = CYCLES.load(Ordering::Relaxed).max(1);
-    let reload = cycles * TICK_US - 1;
-    // two tries meet a tick between the reads at most once
-    for _ in 0..2 {
-        let ticks = TICKS.load(Ordering::Relaxed);
-        let left = SYST::get_current();
-        let pending = SCB::is_pendst_pending();
-        if TICKS.load(Ordering::Relaxed) == ticks {
-            // the counter has wrapped, and the tick that tells it could not interrupt yet
-            let missed = u32::from(pending && left > reload / 2);
-            let whole = ticks.wrapping_add(missed).wrapping_mul(TICK_US);
-            return whole.wrapping_add(reload.saturating_sub(left) / cycles);
-        }
-    }
-    TICKS.load(Ordering::Relaxed).wrapping_mul(TICK_US)
+    // SAFETY: a register that reading leaves as it is
+    unsafe { (*TIM5::ptr()).cnt().read().bits() }
 }
 
-/// Microseconds since boot in full; its owner asks more often than every 35 minutes.
+/// Microseconds since boot in full; its owner asks more often than every 71 minutes.
 #[derive(Default)]
 pub struct Clock(u64);
 
 impl Clock {
     /// Now; never before what it said last.
     pub fn now(&mut self) -> Instant {
-        let passed = micros().wrapping_sub(self.0 as u32);
-        // a tick that is told late makes the counter look one tick younger for a moment
-        if passed < u32::MAX / 2 {
-            self.0 += u64::from(passed);
-        }
+        self.0 += u64::from(micros().wrapping_sub(self.0 as u32));
         Instant::from_micros(self.0)
     }
 }

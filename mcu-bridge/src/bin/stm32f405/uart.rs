@@ -1,6 +1,7 @@
-//! A USART behind an interrupt: bytes in and out through the port's queues, and the RS485 driver around them.
+//! A USART behind an interrupt: bytes in and out through the port's rings, and the RS485 driver around them.
 
 use crate::pins::OutputPin;
+use crate::time;
 use core::ops::Deref;
 use jointbus_mcu_bridge::engine::config::{Parity, PortConfig};
 use jointbus_mcu_bridge::io::serial::InterruptSide;
@@ -10,9 +11,10 @@ use stm32f4xx_hal::pac::usart1::RegisterBlock;
 pub type DriverEnable = Option<OutputPin>;
 
 /// The registers of a USART, of one type for all of them, so that the code of a port is there once.
+#[derive(Clone, Copy)]
 pub struct Registers(*const RegisterBlock);
 
-// SAFETY: whoever made it owned the USART, and it goes where the port goes
+// SAFETY: interrupt and main loop share it, which `configure` allows for
 unsafe impl Send for Registers {}
 
 impl Registers {
@@ -31,42 +33,31 @@ impl Deref for Registers {
     }
 }
 
-/// A port, owned by its interrupt.
-pub struct Uart {
-    usart: Registers,
-    bus_hz: u32,
-    driver_enable: DriverEnable,
-    queues: InterruptSide<'static>,
-    sending: bool,
+/// Bits of SR (RM0090, 30.6.1).
+mod sr {
+    pub(super) const PARITY: u16 = 1;
+    pub(super) const FRAMING: u16 = 1 << 1;
+    pub(super) const NOISE: u16 = 1 << 2;
+    pub(super) const OVERRUN: u16 = 1 << 3;
+    pub(super) const RECEIVED: u16 = 1 << 5;
+    pub(super) const COMPLETE: u16 = 1 << 6;
+    pub(super) const EMPTY: u16 = 1 << 7;
+    pub(super) const ERRORS: u16 = PARITY | FRAMING | NOISE | OVERRUN;
 }
 
-impl Uart {
-    /// Takes a USART whose clock `bus_hz` runs and whose pins are set.
-    pub fn new(
-        usart: Registers,
-        bus_hz: u32,
-        driver_enable: DriverEnable,
-        queues: InterruptSide<'static>,
-        config: &PortConfig,
-    ) -> Self {
-        let mut uart = Self { usart, bus_hz, driver_enable, queues, sending: false };
-        uart.drive(false);
-        uart.configure(config);
-        uart
-    }
-
-    /// Sets baud rate and format (RM0090, 30.6).
-    pub fn configure(&mut self, config: &PortConfig) {
-        let baud = config.baud().max(1);
-        let divider = ((self.bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
-        let parity = config.parity != Parity::None;
-        let stop = if config.stop_bits == 2 { 0b10 } else { 0b00 };
-        self.usart.cr1().modify(|_, w| w.ue().clear_bit());
+/// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6), with interrupts held back.
+pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
+    let baud = config.baud().max(1);
+    let divider = ((bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
+    let parity = config.parity != Parity::None;
+    let stop = if config.stop_bits == 2 { 0b10 } else { 0b00 };
+    cortex_m::interrupt::free(|_| {
+        usart.cr1().modify(|_, w| w.ue().clear_bit());
         // SAFETY: values in the range of their fields
-        self.usart.brr().write(|w| unsafe { w.bits(divider as u16) });
+        usart.brr().write(|w| unsafe { w.bits(divider as u16) });
         // SAFETY: as above
-        self.usart.cr2().write(|w| unsafe { w.stop().bits(stop) });
-        self.usart.cr1().write(|w| {
+        usart.cr2().write(|w| unsafe { w.stop().bits(stop) });
+        usart.cr1().write(|w| {
             w.m().bit(parity);
             w.pce().bit(parity);
             w.ps().bit(config.parity == Parity::Odd);
@@ -75,58 +66,96 @@ impl Uart {
             w.rxneie().set_bit();
             w.ue().set_bit()
         });
+    });
+}
+
+/// A port with room for `IN` received bytes, owned by its interrupt.
+pub struct Uart<const IN: usize> {
+    usart: Registers,
+    queues: InterruptSide<'static, IN>,
+    driver_enable: DriverEnable,
+    /// A byte is on the wire, or will be.
+    driving: bool,
+}
+
+impl<const IN: usize> Uart<IN> {
+    /// Takes a USART whose pins are set; [`configure`] starts it.
+    pub fn new(usart: Registers, driver_enable: DriverEnable, queues: InterruptSide<'static, IN>) -> Self {
+        drive(driver_enable, false);
+        Self { usart, queues, driver_enable, driving: false }
     }
 
-    /// The interrupt, also pended by the main loop when it has something to send; `micros` is the low half of the
-    /// microseconds since boot.
-    pub fn on_interrupt(&mut self, micros: u32) {
-        let status = self.usart.sr().read();
-        if status.rxne().bit_is_set() || status.ore().bit_is_set() {
-            // reading the data clears both
-            let byte = self.usart.dr().read().dr().bits() as u8;
-            if status.ore().bit_is_set() {
-                self.queues.lost();
-            }
-            if status.rxne().bit_is_set() {
-                self.queues.received(byte, micros);
-            }
+    /// The interrupt, also pended by the main loop when it has something to send. Nothing is called on the way of a
+    /// byte that is well, which is to be short.
+    #[inline(always)]
+    pub fn on_interrupt(&mut self) {
+        let status = self.usart.sr().read().bits();
+        if status & (sr::RECEIVED | sr::ERRORS) == sr::RECEIVED {
+            self.queues.received(self.usart.dr().read().bits() as u8, time::micros());
+        } else if status & (sr::RECEIVED | sr::OVERRUN) != 0 {
+            self.on_error(status);
         }
-        self.send();
+        if self.queues.is_sending() {
+            self.send();
+        }
     }
 
-    /// Whether the last stop bit of all that was to be sent has left.
-    pub fn is_quiet(&self) -> bool {
-        !self.sending && self.queues.is_drained()
+    /// Not all went well with what came.
+    #[inline(never)]
+    fn on_error(&mut self, status: u16) {
+        // reading the data clears all that the status says
+        let byte = self.usart.dr().read().bits() as u8;
+        if status & sr::OVERRUN != 0 {
+            // the byte in the register is well, the one behind it is lost
+            self.queues.lost();
+        }
+        if status & sr::RECEIVED == 0 {
+            return;
+        }
+        if status & (sr::PARITY | sr::FRAMING) != 0 {
+            self.queues.received_broken(byte, time::micros());
+            return;
+        }
+        if status & sr::NOISE != 0 {
+            self.queues.noisy();
+        }
+        self.queues.received(byte, time::micros());
     }
 
     /// Feeds the transmitter, and releases the driver after the last stop bit.
+    #[inline(never)]
     fn send(&mut self) {
+        let queues = &mut self.queues.transmitter;
         // bounded by what the queue holds; the chip takes two bytes at a time, the emulator all
-        while self.usart.sr().read().txe().bit_is_set() {
-            let Some(byte) = self.queues.next_byte() else { break };
-            if !self.sending {
-                self.sending = true;
-                self.drive(true);
+        while self.usart.sr().read().bits() & sr::EMPTY != 0 {
+            let Some(byte) = queues.next_byte() else { break };
+            if !self.driving {
+                self.driving = true;
+                drive(self.driver_enable, true);
             }
             // SAFETY: any nine bits can be sent
             self.usart.dr().write(|w| unsafe { w.dr().bits(byte.into()) });
         }
-        let drained = self.queues.is_drained();
-        if self.sending && drained && self.usart.sr().read().tc().bit_is_set() {
-            self.sending = false;
-            self.drive(false);
-            self.queues.transmitted();
+        let drained = queues.is_drained();
+        if drained && (!self.driving || self.usart.sr().read().bits() & sr::COMPLETE != 0) {
+            drive(self.driver_enable, false);
+            // what was put down for sending may have been sent before that was told
+            if core::mem::take(&mut self.driving) {
+                queues.transmitted();
+            } else {
+                queues.stop();
+            }
         }
-        let sending = self.sending;
+        let driving = self.driving;
         self.usart.cr1().modify(|_, w| {
-            w.txeie().bit(sending && !drained);
-            w.tcie().bit(sending && drained)
+            w.txeie().bit(driving && !drained);
+            w.tcie().bit(driving && drained)
         });
     }
+}
 
-    fn drive(&mut self, on: bool) {
-        if let Some(pin) = self.driver_enable {
-            pin.set(on);
-        }
+fn drive(driver_enable: DriverEnable, on: bool) {
+    if let Some(pin) = driver_enable {
+        pin.set(on);
     }
 }
