@@ -1,1 +1,92 @@
-fn main() {}
+//! The subjects on the host, to be run in callgrind with `--toggle-collect=measured --dump-after=measured`: it leaves
+//! one file a call of [`measured`], in the order of the lines that this prints.
+//!
+//! Everything is called twice in a row, and the second time counts: the first one resolves the functions of libraries.
+
+#[cfg(feature = "others")]
+mod libmodbus;
+mod linear;
+
+use std::hint::black_box;
+use std::process::ExitCode;
+
+use jointbus_bench_subjects::{Empty, server};
+use jointbus_bench_subjects::{FRAME_MAX, REQUESTS, Request, Requests, Subject};
+
+/// What is counted: this call, and all that it calls.
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "Rust" fn measured(run: &mut dyn FnMut()) {
+    run();
+}
+
+/// Prints what is measured next, and measures it.
+fn count(subject: &str, request: &str, mut run: impl FnMut()) {
+    for _ in 0..2 {
+        count_once(subject, request, &mut run);
+    }
+}
+
+fn count_once(subject: &str, request: &str, mut run: impl FnMut()) {
+    println!("{subject}\t{request}");
+    measured(black_box(&mut run));
+}
+
+/// Asks a subject all of its requests; whether all answers were right.
+fn serve<S: Subject>(name: &str) -> bool {
+    let mut subject = black_box(S::new());
+    let Requests { first, timed, longest } = &REQUESTS[S::KIND as usize];
+    let (mut frame, mut out) = ([0; FRAME_MAX], [0; FRAME_MAX]);
+    let mut right = true;
+    for (request, is_timed) in first
+        .iter()
+        .map(untimed)
+        .chain(timed.iter().map(|one| (one, true)))
+        .chain(longest.iter().map(untimed))
+    {
+        let length = request.write(&mut frame);
+        let frame = black_box(&frame[..length]);
+        let mut answer = 0;
+        if is_timed {
+            count(name, request.name, || answer = subject.serve(black_box(frame), black_box(&mut out)));
+        } else {
+            answer = subject.serve(frame, &mut out);
+        }
+        if !request.is_answered_by(answer, &out) {
+            eprintln!("{name}: {frame:02x?} was answered with {:02x?}", &out[..answer]);
+            right = false;
+        }
+    }
+    right
+}
+
+fn untimed(request: &Request) -> (&Request, bool) {
+    (request, false)
+}
+
+/// What the calls around a subject take; it answers nothing.
+fn nothing() {
+    let mut out = [0; FRAME_MAX];
+    count("nothing", "", || {
+        black_box(Empty.serve(black_box(&[]), black_box(&mut out)));
+    });
+}
+
+fn main() -> ExitCode {
+    nothing();
+    let mut right = vec![
+        serve::<server::WithTable>("server"),
+        serve::<server::WithSmallTable>("server_small"),
+        serve::<server::WithoutTable>("server_bitwise"),
+    ];
+    linear::all();
+    #[cfg(feature = "others")]
+    {
+        use jointbus_bench_subjects::others::{mbus, modbus_core, rmodbus};
+        right.push(serve::<rmodbus::Rmodbus>("rmodbus"));
+        right.push(serve::<modbus_core::ModbusCore>("modbus_core"));
+        right.push(serve::<mbus::Mbus>("mbus"));
+        right.push(libmodbus::serve("libmodbus"));
+    }
+    if right.into_iter().all(|right| right) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}

@@ -23,7 +23,7 @@ struct Mailbox(UnsafeCell<Mail>);
 
 struct Mail {
     request: [u8; FRAME_MAX],
-    /// 0 for no request.
+    /// 0 for no request: the line was silent, which ends a frame.
     request_length: usize,
     answer: [u8; FRAME_MAX],
     /// 0 for no answer.
@@ -74,7 +74,7 @@ impl Transport for Memory {
         MAILBOX.with(|mail| {
             let request = &mail.request[..core::mem::take(&mut mail.request_length)];
             match request {
-                [] => Err(TransportError::Timeout),
+                [] => Err(TransportError::FramingError),
                 request => Vec::from_slice(request).map_err(|_| TransportError::BufferTooSmall),
             }
         })
@@ -245,6 +245,10 @@ impl Subject for Mbus {
     }
 
     fn serve(&mut self, frame: &[u8], out: &mut [u8; FRAME_MAX]) -> usize {
+        // what it has not answered it keeps, until the transport tells of the end of the frame
+        if MAILBOX.with(|mail| mail.answer_length == 0) {
+            self.0.poll();
+        }
         MAILBOX.with(|mail| {
             mail.request[..frame.len()].copy_from_slice(frame);
             (mail.request_length, mail.answer_length) = (frame.len(), 0);
