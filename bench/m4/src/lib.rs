@@ -53,12 +53,13 @@ pub fn run<S: Subject>() -> ! {
         wrong += u32::from(!request.is_answered_by(length, out));
         if let (Some(clock), true) = (&mut clock, is_timed) {
             let ticks = ticks(clock, || call(&mut subject, frame, out));
-            semihosting::print(b"ticks ", ticks.saturating_sub(ticks_of_nothing(clock, frame, out)));
+            let idle = ticks_of_nothing(clock, frame, out);
+            semihosting::print(request.name, ticks.saturating_sub(idle));
         }
     }
-    semihosting::print(b"stack ", worst as u32);
-    semihosting::print(b"state ", size_of::<S>() as u32);
-    semihosting::print(b"wrong ", wrong);
+    semihosting::print("stack", worst as u32);
+    semihosting::print("state", size_of::<S>() as u32);
+    semihosting::print("wrong", wrong);
     semihosting::exit()
 }
 
