@@ -17,11 +17,9 @@ use jointbus_protocol::modbus::{self, Range, rtu};
 /// What the figures are of.
 const SUBJECT: &str = "bridge";
 
-/// The sensor's delay, from the end of a request to the first bit of the reply.
-const DEVICE: Nanos = 100 * MICROS;
-
-/// The same of a sensor whose reply is ready, which is what a master has that does nothing but read.
-const AT_ONCE: Nanos = 0;
+/// Delays of the sensor, from the end of a request to the first bit of the reply, in us: one that fits the main loop's
+/// tick well tells little.
+const DEVICES: [Nanos; 8] = [0, 50, 75, 100, 110, 125, 150, 190];
 
 /// A read of the six axes of unit 1, on CAN, without its CRC.
 const READ: [u8; 5] = [1, 0x03, 0x02, 0x00, 0x12];
@@ -36,13 +34,23 @@ const FIRST_SLOT: u16 = 0x50;
 
 fn main() -> Result<()> {
     let latency = env::args().nth(1).context("argument: the main loop's latency in ns")?.parse()?;
-    let (added, rate) = transparent(latency)?;
+    // the first one is ready at once, which leaves the most to the bridge
+    let (_, rate) = transparent(latency, 0)?;
+    let mut added: f64 = 0.0;
+    let mut shares = Vec::new();
+    for device in DEVICES.map(|micros| micros * MICROS) {
+        added = added.max(transparent(latency, device)?.0);
+        let (reads, limit) = slots(latency, device)?;
+        shares.push((100.0 * reads / limit, reads, limit, device));
+    }
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (share, reads, limit, device) = shares[0];
     show("delay added to a read, us", added / 1000.0);
     show("transparent reads a second", rate);
-    let (reads, limit) = slots(latency)?;
     show("slot reads a second", reads);
     show("slot reads a second, limit of the bus", limit);
-    show("slot reads, share of the limit, %", 100.0 * reads / limit);
+    show("slot reads, sensor's delay, us", device as f64 / 1000.0);
+    show("slot reads, share of the limit, %", share);
     Ok(())
 }
 
@@ -58,8 +66,8 @@ fn settings(latency: Nanos, device: Nanos) -> Settings {
 }
 
 /// Reads one behind the other: the time that the bridge adds to one at most, in ns, and reads a second.
-fn transparent(latency: Nanos) -> Result<(f64, f64)> {
-    let settings = settings(latency, AT_ONCE);
+fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
+    let settings = settings(latency, device);
     let baud = u64::from(settings.network.port(Port::Host).baud());
     let byte = 10 * SECONDS / baud;
     let mut queues = [Queues::new(), Queues::new(), Queues::new()];
@@ -94,9 +102,9 @@ fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
 }
 
 /// All slots as often as they can: reads a second, and what the bus could carry of them.
-fn slots(latency: Nanos) -> Result<(f64, f64)> {
+fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     const SLOTS: u8 = 8;
-    let settings = settings(latency, DEVICE);
+    let settings = settings(latency, device);
     let rate = u64::from(settings.network.port(Port::Can).rate) * 1000;
     let nodes = settings.nodes;
     let mut queues = [Queues::new(), Queues::new(), Queues::new()];
@@ -130,6 +138,6 @@ fn slots(latency: Nanos) -> Result<(f64, f64)> {
     }
     let reads = sequence(&world) - before;
     ensure!(reads > 0 && requests > 0, "the slots were not read");
-    let one = bits * SECONDS / rate / requests + DEVICE;
+    let one = bits * SECONDS / rate / requests + device;
     Ok((reads as f64, SECONDS as f64 / one as f64))
 }

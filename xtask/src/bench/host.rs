@@ -21,7 +21,16 @@ const MEASURED: &str = "measured";
 /// Counts; with others' servers only if asked for.
 pub(crate) fn measure(workspace: &Workspace, others: bool, figures: &mut Figures) -> Result<()> {
     let mut command = workspace.cargo();
-    command.args(["build", "--quiet", "--manifest-path", MANIFEST, "--package", PACKAGE, "--profile", PROFILE]);
+    command.args([
+        "build",
+        "--quiet",
+        "--manifest-path",
+        MANIFEST,
+        "--package",
+        PACKAGE,
+        "--profile",
+        PROFILE,
+    ]);
     command.arg("--target-dir").arg(builds(workspace));
     if others {
         command.args(["--features", "others"]);

@@ -96,7 +96,8 @@ pub(crate) fn measure_some(
             .args(["-semihosting-config", "enable=on,target=native,chardev=host", "-kernel"])
             .arg(folder.join(image));
         let printed = run::output(&mut emulator)?;
-        understand(&printed, (place, image), figures).with_context(|| format!("{image} printed `{printed}`"))?;
+        understand(&printed, (place, image), figures)
+            .with_context(|| format!("{image} printed `{printed}`"))?;
     }
     Ok(())
 }
