@@ -19,7 +19,7 @@ const WAKES: usize = 100_000;
 fuzz_target!(|data: &[u8]| {
     let identity = Identity { version: [1, 2, 3], reset_cause: ResetCause::PowerOn };
     let mut now = Instant::from_micros(1_000_000);
-    let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
+    let mut engine = Engine::new(identity, now);
     let mut script = Script(data);
     while !script.is_empty() {
         step(&mut engine, &mut script, &mut now);

@@ -6,7 +6,7 @@
 
 use crate::clock::Clock;
 use anyhow::{Context, Result, ensure};
-use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause, Settings};
 use jointbus_protocol::can::Id;
 use jointbus_protocol::slcan::{self, LineReader, Outcome};
@@ -265,5 +265,5 @@ impl Driver {
 
 fn start(clock: Clock, reset_cause: ResetCause) -> Engine {
     let identity = Identity { version: crate::version(), reset_cause };
-    Engine::new(Network::default(), Limits::default(), identity, clock.now())
+    Engine::new(identity, clock.now())
 }

@@ -249,11 +249,17 @@ pub struct ReplySearch<const N: usize, const L: usize> {
 
 impl<const N: usize, const L: usize> Default for ReplySearch<N, L> {
     fn default() -> Self {
-        Self { buffer: [0; N], used: 0, next: [0; L], delivered: false }
+        Self::new()
     }
 }
 
 impl<const N: usize, const L: usize> ReplySearch<N, L> {
+    /// A search that has received nothing.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { buffer: [0; N], used: 0, next: [0; L], delivered: false }
+    }
+
     /// Forgets what has been received: to be called before anything else is expected.
     pub const fn clear(&mut self) {
         self.used = 0;

@@ -4,7 +4,7 @@
 use super::can_wire::CanWire;
 use super::moment::Moment;
 use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
-use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
+use jointbus_mcu_bridge::engine::{self, Engine, Identity, ResetCause};
 use jointbus_mcu_bridge::io::serial::{InterruptSide, MainSide, Queues, recent};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::Instant;
@@ -65,7 +65,12 @@ impl<'q> Board<'q> {
         now: Instant,
     ) -> (Self, [Uart<'q>; 3]) {
         let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
-        let mut engine = Engine::new(settings.network, settings.limits, identity, now);
+        let mut engine = Engine::new(identity, now);
+        let Settings { network, limits, .. } = *settings;
+        engine.restore(&engine::Settings { network, limits, ..engine::Settings::default() }, now);
+        for port in Port::ALL {
+            let _ = engine.take_port_change(port);
+        }
         engine.set_inputs(0, INPUTS);
         let [host, first, second] = queues;
         let ((host_in, host), (first_in, first), (second_in, second)) =

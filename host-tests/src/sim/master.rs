@@ -1,15 +1,15 @@
 //! The host: what it has asked, what it got, and whether that belongs together.
 
+mod wires;
+
 use super::moment::{MILLIS, Moment, Nanos};
 use super::question::{Fit, Question};
 use super::station::SerialDevice;
+use super::tally::Tally;
 use super::world::World;
 use crate::devices::Order;
 use jointbus_mcu_bridge::engine::config::{Network, Port, Protocol, Route};
-use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::nst::can::{FrameType, Identifier, READ_MAX, WRITE_MAX};
-use jointbus_protocol::nst::{SAMPLE_LENGTH, register};
 use jointbus_protocol::time::Instant;
 use std::collections::HashMap;
 
@@ -21,67 +21,6 @@ const FRAME: Nanos = MILLIS / 5;
 
 /// Answers wait for the host's line so long at most: for the others that the bridge keeps room for.
 const BACKLOG: Nanos = 20 * MILLIS;
-
-/// What was counted in a run.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Tally {
-    /// Requests that the bridge had to accept.
-    pub asked: u64,
-    /// Answers that belong to one of them; a device's exception is one.
-    pub answered: u64,
-    /// Exceptions 06 and 0B, by which the bridge says that there is no answer.
-    pub refused: u64,
-    /// NST requests that ended with silence.
-    pub silent: u64,
-    /// Requests to units that no route serves.
-    pub unknown: u64,
-    /// Copies of broadcasts that buses had to send, and that they have sent.
-    pub copies: [u64; 2],
-    /// Broken bursts with a valid command somewhere inside.
-    pub hidden: u64,
-    /// Writes and commands that devices carried out.
-    pub executed: u64,
-    /// Frames of the bridge on RS485, and on CAN.
-    pub sent: [u64; 2],
-    /// Answers that fit nothing, on a bus where bytes were garbled at that time: the CRC was right by coincidence.
-    pub coincidences: u64,
-    /// What must not happen, the first few in words.
-    pub violations: Vec<String>,
-    /// How many there were.
-    pub violated: u64,
-}
-
-impl Tally {
-    /// Words are kept of so many.
-    const KEPT: usize = 5;
-
-    /// Counts what must not happen.
-    pub fn violation(&mut self, now: Moment, what: impl FnOnce() -> String) {
-        self.violated += 1;
-        if self.violations.len() < Self::KEPT {
-            self.violations.push(format!("{:.6} s: {}", now.as_nanos() as f64 / 1e9, what()));
-        }
-    }
-
-    /// Adds another run's.
-    pub fn add(&mut self, other: &Self) {
-        self.asked += other.asked;
-        self.answered += other.answered;
-        self.refused += other.refused;
-        self.silent += other.silent;
-        self.unknown += other.unknown;
-        self.copies[0] += other.copies[0];
-        self.copies[1] += other.copies[1];
-        self.hidden += other.hidden;
-        self.executed += other.executed;
-        self.sent[0] += other.sent[0];
-        self.sent[1] += other.sent[1];
-        self.coincidences += other.coincidences;
-        self.violated += other.violated;
-        let room = Self::KEPT.saturating_sub(self.violations.len());
-        self.violations.extend(other.violations.iter().take(room).cloned());
-    }
-}
 
 /// A request without an answer so far.
 #[derive(Debug, Clone)]
@@ -222,24 +161,6 @@ impl Master {
         self.broadcasts.retain(|before| at.since(before.expires) < 1000 * MILLIS);
         self.broadcasts.push(Broadcast { body, expires, to: to.to_vec() });
         self.tally.copies[0] += to.len() as u64;
-    }
-
-    /// A broadcast goes out: somebody must have asked for it, not too long ago, and once.
-    fn passes_all(&mut self, port: Port, head: &[u8], is_whole: bool, start: Moment, now: Moment) {
-        let mine =
-            |broadcast: &&mut Broadcast| broadcast.to.contains(&port) && broadcast.body.starts_with(head);
-        let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
-            return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
-        };
-        let limit = if port == Port::Can { broadcast.expires.after(FRAME) } else { broadcast.expires };
-        if is_whole {
-            broadcast.to.retain(|to| *to != port);
-            self.tally.copies[1] += 1;
-        }
-        if start > limit {
-            let late = start.since(limit) / 1000;
-            self.tally.violation(now, || format!("{port:?}: broadcast {late} us after its time to live"));
-        }
     }
 
     /// Whether the same question to the same unit may still be answered: then it could not be told whose an answer is.
@@ -391,117 +312,6 @@ impl Master {
                 });
             }
             self.open -= before - place.open.len();
-        }
-    }
-
-    /// The bridge has sent a frame onto an RS485 line.
-    pub fn overhears(&mut self, port: Port, frame: &[u8], start: Moment, now: Moment) {
-        self.tally.sent[0] += 1;
-        let Some((&remote, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else {
-            return self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}"));
-        };
-        if remote == 0 || remote == u8::MAX {
-            let body = body.to_vec();
-            return self.passes_all(port, &body, true, start, now);
-        }
-        self.passes(port, remote, body, start, now, |asked| asked.body == body);
-    }
-
-    /// The bridge has sent a frame on CAN.
-    pub fn overhears_frame(&mut self, frame: &Frame, start: Moment, now: Moment) {
-        self.tally.sent[1] += 1;
-        let Id::Extended(raw) = frame.id() else { return };
-        let Some(identifier) = Identifier::from_raw(raw) else { return };
-        let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
-        if identifier.destination == u8::MAX {
-            return self.overhears_part(&identifier, frame, start, now);
-        }
-        let [function, high, low, length, ..] = *frame.payload();
-        if !starts {
-            return;
-        }
-        let first = u16::from_be_bytes([high, low]);
-        let head = [function, high, low, length];
-        // the number of a write follows its header
-        let payload = *frame.payload();
-        let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
-        self.passes(Port::Can, identifier.destination, &head, start, now, |asked| {
-            let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
-                return false;
-            };
-            let Some(moved) = first.checked_sub(u16::from_be_bytes([high, low])) else { return false };
-            let rest = u16::from(whole).checked_sub(moved);
-            let same = moved > 0 || function != 0x10 || asked.body.get(..8) == Some(&payload);
-            asked_function == function
-                && same
-                && moved % most as u16 == 0
-                && rest.is_some_and(|rest| rest.min(most as u16) == u16::from(length))
-        });
-    }
-
-    /// A frame of a broadcast on CAN: the first one tells which, the last one that all of it was sent.
-    fn overhears_part(&mut self, identifier: &Identifier, frame: &Frame, start: Moment, now: Moment) {
-        let whole = matches!(identifier.frame_type, FrameType::Single | FrameType::Last);
-        if matches!(identifier.frame_type, FrameType::Single | FrameType::First) {
-            self.broadcast_head = frame.data().to_vec();
-            self.passes_all(Port::Can, &self.broadcast_head.clone(), whole, start, now);
-        } else if whole {
-            let head = self.broadcast_head.clone();
-            self.passes_all(Port::Can, &head, true, Moment::default(), now);
-        }
-    }
-
-    /// A frame goes to a device: somebody must have asked for it, and not too long ago.
-    fn passes(
-        &mut self,
-        port: Port,
-        remote: u8,
-        head: &[u8],
-        start: Moment,
-        now: Moment,
-        is_it: impl Fn(&Asked) -> bool,
-    ) {
-        let sample = [0x03, 0x02, 0x00, SAMPLE_LENGTH as u8];
-        debug_assert_eq!(register::DATA.first, 0x0200);
-        let unit = self.network.routes.iter().find_map(|row| {
-            let mine = row.is_used() && port_of(row) == port.index();
-            let unit = row.first_unit.wrapping_add(remote.wrapping_sub(row.first_remote));
-            (mine && row.serves(unit)).then_some(unit)
-        });
-        let asked = unit.and_then(|unit| {
-            let open = &mut self.units[usize::from(unit)].open;
-            open.iter_mut().find(|asked| !asked.overtaken && is_it(asked))
-        });
-        let Some(asked) = asked else {
-            if !(self.polls && head == sample) {
-                self.tally
-                    .violation(now, || format!("{port:?}, device {remote}: nobody asked for {head:02x?}"));
-            }
-            return;
-        };
-        // of a split transfer the first part counts
-        let first_part = head.get(1..3) == asked.body.get(1..3);
-        let limit = if port == Port::Can { asked.expires.after(FRAME) } else { asked.expires };
-        let question = asked.question;
-        if first_part && start > limit {
-            self.tally.violation(now, || {
-                format!(
-                    "{port:?}, device {remote}: {question:?} sent {} us after its time to live",
-                    start.since(limit) / 1000
-                )
-            });
-        }
-        asked.sent += u8::from(first_part);
-        asked.superseded = None;
-        let again = asked.sent > 1 && !question.is_read();
-        if let Some(unit) = unit {
-            let open = &mut self.units[usize::from(unit)].open;
-            for other in open.iter_mut().filter(|other| other.sent > 0 && other.question != question) {
-                other.superseded.get_or_insert(now);
-            }
-        }
-        if again {
-            self.tally.violation(now, || format!("{port:?}, device {remote}: {question:?} sent again"));
         }
     }
 

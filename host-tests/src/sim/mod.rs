@@ -14,15 +14,21 @@
 //! | devices | those of [`devices`](crate::devices), with reply times from a distribution and with bad habits |
 //! | faults | [`Fault`], each kind by name |
 //!
-//! Not simulated: single bits and noise margins, framing errors as the UART reports them, receive FIFO of the controller
-//! (its interrupt is never late), controllers that send equal identifiers at once, the flash store, the watchdog.
+//! Not simulated: single bits and noise margins (a random byte lacks its stop bit at random), receive FIFO of the
+//! controller (its interrupt is never late), controllers that send equal identifiers at once, the flash store, the
+//! watchdog.
 //!
-//! Not to be held against the bridge, and not simulated: a device that repeats a reply of its own accord *later*, when a
-//! request of the same form is under way. These protocols number nothing; nobody could tell.
+//! Not to be held against the bridge, and not simulated: a device that answers later than the hold-off (three times the
+//! timeout), or that repeats a reply of its own accord *later*, when a request of the same form is under way. These
+//! protocols number nothing; nobody could tell. A reply whose CRC is right by coincidence is counted as that: where bytes
+//! were garbled, and no device ever said such a thing. One systematic case: a frame that lost its last byte but one and is
+//! followed by a zero byte, for the CRC of a frame with the CRC's first byte behind it is the second byte and zero.
 //!
-//! [`Run`] puts a host into it that knows of every answer whether it belongs to its question, and sends faults;
-//! [`properties`] says what must hold. `cargo xtask soak` shows it over millions of requests, `cargo xtask sim --seed N`
-//! repeats one run, and `--pcap FILE` records it for Wireshark ([`Recorder`]).
+//! [`Run`] puts a host into it that knows of every answer whether it belongs to its question, and sends faults; a
+//! [`Trial`] injects one fault alone, and compares what it raises and costs with [`Fault::raises`] and
+//! [`Fault::service`] (the page `FAULTS.md`). [`properties`] says what must hold. `cargo xtask soak` shows it over millions
+//! of requests, `cargo xtask sim --seed N` repeats one run, `--alone KIND` one fault, and `--pcap FILE` records a run for
+//! Wireshark ([`Recorder`]).
 //!
 //! ```
 //! use jointbus_host_tests::sim::{Notice, Settings, World, MILLIS};
@@ -58,13 +64,14 @@ mod recorder;
 mod run;
 mod settings;
 mod station;
+mod tally;
 mod trial;
 mod world;
 
 pub use delay::Delay;
 pub use effects::{At, Counter, Raise, Service, Times};
 pub use fault::{Fault, Place};
-pub use master::{Master, Tally};
+pub use master::Master;
 pub use moment::{MICROS, MILLIS, Moment, Nanos, SECONDS};
 pub use question::{Fit, Question, Questions};
 pub use random::Random;
@@ -72,5 +79,6 @@ pub use recorder::{Interface, Recorder};
 pub use run::{Manner, Plan, Run};
 pub use settings::Settings;
 pub use station::{CanStation, LAYOUT, MODULES, PATTERN, SCRATCH, SerialDevice, SerialStation, pattern};
+pub use tally::Tally;
 pub use trial::Trial;
 pub use world::{Notice, World};

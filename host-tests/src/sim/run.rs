@@ -2,12 +2,13 @@
 
 use super::delay::Delay;
 use super::fault::{Fault, Place};
-use super::master::{Master, Tally, is_nst};
+use super::master::{Master, is_nst};
 use super::moment::{MICROS, MILLIS, Moment, Nanos};
 use super::question::{Question, Questions};
 use super::random::Random;
 use super::settings::Settings;
 use super::station::{flip_bits, reseal};
+use super::tally::Tally;
 use super::world::{Notice, World};
 use jointbus_mcu_bridge::engine::Counters;
 use jointbus_mcu_bridge::engine::config::{Network, Port};

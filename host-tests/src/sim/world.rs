@@ -134,6 +134,8 @@ pub struct World<'q> {
     pub(super) lines: [Bus; LINES],
     pub(super) can: CanWire,
     can_due: Option<Moment>,
+    /// When the bus is no longer held dominant.
+    can_released: Option<Moment>,
     pub(super) nodes: Vec<CanStation>,
     pub(super) can_armed: VecDeque<Fault>,
     recorder: Option<Recorder>,
@@ -195,6 +197,7 @@ impl<'q> World<'q> {
             lines,
             can,
             can_due: None,
+            can_released: None,
             nodes,
             can_armed: VecDeque::new(),
             recorder: None,

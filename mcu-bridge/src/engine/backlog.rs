@@ -4,7 +4,7 @@ use super::counters::count;
 use super::host::FRAME_MAX;
 use super::polling;
 use super::quarantine::Admission;
-use super::transaction::{Expected, Request, Surroundings, Transaction};
+use super::transaction::{Expected, Request, Span, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::time::Instant;
 
@@ -16,7 +16,7 @@ const QUEUE: usize = 4;
 pub(super) struct QueueFull;
 
 /// The bytes of a request: on a serial bus the whole frame, for Modbus ASCII address and data unit, on CAN the body.
-pub(super) type Content = Vec<u8, FRAME_MAX>;
+pub(super) type Content = Vec<u8, FRAME_MAX, u16>;
 
 /// Where a [`Backlog`] keeps the bytes of a request until it is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,6 +82,11 @@ impl Backlog {
     /// The bytes of a request.
     pub(super) fn content(&self, place: Place) -> &[u8] {
         self.kept.get(usize::from(place.0)).map_or(&[], |kept| &kept.content)
+    }
+
+    /// The same, for data that is to be kept behind them.
+    pub(super) fn content_mut(&mut self, place: Place) -> Option<&mut Content> {
+        self.kept.get_mut(usize::from(place.0)).map(|kept| &mut kept.content)
     }
 
     /// A request is done.
@@ -202,8 +207,8 @@ struct Owed {
     expected: Expected,
     replies: u8,
     until: Instant,
-    /// A unit that would be out of quarantine if its reply came by then.
-    probed: Option<(u8, Instant)>,
+    /// A unit that would be out of quarantine if its reply came so long before that.
+    probed: Option<(u8, Span)>,
 }
 
 /// How many kinds of reply a bus can be owed; while that many are, it starts no transaction.
@@ -222,8 +227,9 @@ impl OwedReplies {
     /// So many attempts at a request timed out, the last of which was `sent` then.
     pub(super) fn add(&mut self, request: &Request, expected: Expected, replies: u8, sent: Instant) {
         if replies > 0 {
-            let probed = request.probe_window().map(|window| (request.unit, sent.after(window)));
-            let until = sent.after(request.hold_off);
+            let until = sent.after(request.hold_off.into());
+            let before = |window| until.since(sent.after(window)).into();
+            let probed = request.probe_window().map(|window| (request.unit, before(window)));
             // a transaction starts only while there is room, and adds at most once
             let _ = self.0.push(Owed { expected, replies, until, probed });
         }
@@ -261,7 +267,8 @@ impl OwedReplies {
     fn settle(&mut self, index: usize, now: Instant) -> Option<u8> {
         let owed = self.0.get_mut(index)?;
         owed.replies = owed.replies.saturating_sub(1);
-        let back = owed.probed.filter(|(_, until)| now < *until).map(|(unit, _)| unit);
+        let left = owed.until.since(now);
+        let back = owed.probed.filter(|(_, before)| left > (*before).into()).map(|(unit, _)| unit);
         self.0.retain(|owed| owed.replies > 0);
         back
     }
@@ -319,7 +326,7 @@ mod tests {
             push(&mut queue, unit, function).unwrap();
         }
         let mut owed = OwedReplies::new();
-        let owing = Request { hold_off: Duration::from_micros(10), ..request(1, READ) };
+        let owing = Request { hold_off: Duration::from_micros(10).into(), ..request(1, READ) };
         owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
         assert_eq!(order(&mut queue, &owed), [(2, 3)]);
         assert!(!owed.expire(Instant::from_micros(9)));
@@ -331,9 +338,9 @@ mod tests {
     fn a_probe_waits_a_part_of_the_period_and_its_reply_counts_as_long_as_any() {
         let limits = Limits::default();
         let mut probe = request(1, ZERO);
-        assert_eq!((probe.timeout, probe.probe_window()), (Duration::from_millis(500), None));
+        assert_eq!((probe.timeout.into(), probe.probe_window()), (Duration::from_millis(500), None));
         probe.become_probe(&limits);
-        assert_eq!((probe.timeout, probe.retries), (Duration::from_millis(50), 0));
+        assert_eq!((probe.timeout.into(), probe.retries), (Duration::from_millis(50), 0));
         let at = |millis: u64| Instant::from_micros(millis * 1000);
         for (came, back) in [(499, Some(1)), (500, None)] {
             let mut owed = OwedReplies::new();
@@ -342,6 +349,10 @@ mod tests {
         }
         let mut shorter = request(1, READ);
         shorter.become_probe(&Limits { probe_period_ms: 100, ..limits });
-        assert_eq!(shorter.timeout, Duration::from_millis(20), "a device has some time for all that");
+        assert_eq!(
+            Duration::from(shorter.timeout),
+            Duration::from_millis(20),
+            "a device has some time for all that"
+        );
     }
 }

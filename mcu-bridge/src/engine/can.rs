@@ -2,12 +2,11 @@
 
 use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
-use super::host::FRAME_MAX;
 use super::transaction::{Expected, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
-use jointbus_protocol::nst::{self, FunctionCode, Reply, serial::ExpectedReply};
+use jointbus_protocol::nst::{self, serial::ExpectedReply};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -20,6 +19,9 @@ const CONTEXTS: usize = 2;
 /// Time that the controller stays off the bus the first time, and at most; each time in a row takes twice as long.
 const SHORTEST: Duration = Duration::from_millis(10);
 const LONGEST: Duration = Duration::from_millis(1000);
+
+/// Where the joined reply to a read starts among the bytes kept of it.
+const REPLY_START: usize = nst::COMMAND_LENGTH - nst::REPLY_HEADER;
 
 /// When the controller returns after it went bus-off.
 #[derive(Debug)]
@@ -74,8 +76,6 @@ pub(super) struct CanBus {
     flight: Option<Flight>,
     /// The transfer under way.
     body: Vec<u8, { can::TRANSFER_MAX }>,
-    /// Data of the parts read so far.
-    joined: Vec<u8, { nst::REPLY_DATA_MAX }>,
     reassembler: Reassembler<CONTEXTS>,
     node: u8,
     /// Frames that the controller has and that nobody acknowledged so far.
@@ -91,7 +91,6 @@ impl CanBus {
             backlog: Backlog::new(),
             flight: None,
             body: Vec::new(),
-            joined: Vec::new(),
             reassembler: Reassembler::new(node, FRAME_PAUSE),
             node,
             outstanding: 0,
@@ -213,7 +212,9 @@ impl CanBus {
             count(&mut self.quirks);
         }
         let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
-        let _ = self.joined.extend_from_slice(data);
+        if let Some(content) = self.backlog.content_mut(flight.transaction.place) {
+            let _ = content.extend_from_slice(data);
+        }
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
         let late = core::mem::take(&mut transaction.unanswered);
@@ -226,7 +227,19 @@ impl CanBus {
                 flight.phase = Phase::Ready;
             }
             None => {
-                answer(flight, &self.joined, sent, now, around);
+                let function = transaction.request.function;
+                if transaction.request.is_read() {
+                    // in front of the data stands the request's length, in front of that its register
+                    if let Some(content) = self.backlog.content_mut(transaction.place)
+                        && let Some([code, ..]) = content.get_mut(REPLY_START..)
+                    {
+                        *code = function;
+                    }
+                    let reply = self.backlog.content(transaction.place).get(REPLY_START..).unwrap_or(&[]);
+                    around.answer(&transaction.request, reply, sent, now);
+                } else {
+                    around.answer(&transaction.request, &[function, flight.moved], sent, now);
+                }
                 self.finish(around);
             }
         }
@@ -234,6 +247,7 @@ impl CanBus {
     }
 
     /// Does what is due.
+    #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         self.backlog.owed.expire(now);
         if let Some(flight) = &mut self.flight {
@@ -279,7 +293,6 @@ impl CanBus {
         if self.flight.is_none()
             && let Some(transaction) = self.backlog.next(now, around)
         {
-            self.joined.clear();
             let content = self.backlog.content(transaction.place);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
@@ -294,7 +307,7 @@ impl CanBus {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
                 0 => flight.transaction.request.expires,
-                _ => now.after(flight.transaction.request.timeout),
+                _ => now.after(flight.transaction.request.timeout.into()),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
             if flight.transaction.unanswered > 0 {
@@ -333,7 +346,7 @@ impl CanBus {
         // what its device had begun before is a second copy of a former reply
         self.reassembler.forget(flight.part.expected.address());
         let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
-        let deadline = now.after(flight.transaction.request.timeout).after(on_wire);
+        let deadline = now.after(flight.transaction.request.timeout.into()).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
     }
@@ -368,6 +381,12 @@ impl CanBus {
     }
 }
 
+/// The whole request; behind the bytes of a read come those that were read so far.
+fn asked<'c>(content: &'c [u8], request: &Request) -> Option<nst::Request<'c>> {
+    let length = if request.is_read() { nst::COMMAND_LENGTH } else { content.len() };
+    nst::Request::decode(content.get(..length)?).ok()
+}
+
 /// The transfer that follows those that moved so many bytes, put into `body`; `None` when all has been moved.
 fn following_part(
     content: &[u8],
@@ -375,7 +394,7 @@ fn following_part(
     moved: u8,
     body: &mut Vec<u8, { can::TRANSFER_MAX }>,
 ) -> Option<Part> {
-    let whole = nst::Request::decode(content).ok()?;
+    let whole = asked(content, request)?;
     if moved >= whole.length() { None } else { part(content, request, moved, body) }
 }
 
@@ -386,7 +405,7 @@ fn part(
     moved: u8,
     body: &mut Vec<u8, { can::TRANSFER_MAX }>,
 ) -> Option<Part> {
-    let part = can::part(&nst::Request::decode(content).ok()?, moved)?;
+    let part = can::part(&asked(content, request)?, moved)?;
     let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
     body.resize(can::TRANSFER_MAX, 0).ok()?;
     let mut writer = Writer::new(body);
@@ -394,19 +413,4 @@ fn part(
     let length = writer.finish().len();
     body.truncate(length);
     Some(Part { expected: ExpectedReply::new(remote, &part), length: part.length() })
-}
-
-/// Joins the parts' replies into the reply to the whole request.
-fn answer(flight: &Flight, joined: &[u8], sent: Instant, now: Instant, around: &mut Surroundings<'_>) {
-    let function = FunctionCode::from_code(flight.transaction.request.function);
-    let reply = if function.is_read() {
-        Reply::Data { function, data: joined }
-    } else {
-        Reply::Acknowledge { function, length: flight.moved }
-    };
-    let mut buffer = [0; FRAME_MAX];
-    let mut writer = Writer::new(&mut buffer);
-    if reply.encode(&mut writer).is_ok() {
-        around.answer(&flight.transaction.request, writer.finish(), sent, now);
-    }
 }

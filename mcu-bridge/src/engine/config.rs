@@ -64,6 +64,17 @@ impl Bus {
         }
     }
 
+    /// Its port, if it has one.
+    #[must_use]
+    pub const fn port(self) -> Option<Port> {
+        match self {
+            Self::Rs485A => Some(Port::Rs485A),
+            Self::Rs485B => Some(Port::Rs485B),
+            Self::Can => Some(Port::Can),
+            Self::LocalOutputs | Self::LocalIo | Self::Bridge => None,
+        }
+    }
+
     /// Its number in a route register.
     #[must_use]
     pub const fn value(self) -> u16 {
@@ -276,16 +287,21 @@ impl PortConfig {
     /// Time that so many characters take on a serial port.
     #[must_use]
     pub fn characters(&self, count: usize) -> Duration {
+        Duration::from_micros(self.character_micros(count).into())
+    }
+
+    /// In 32 bits, which the processor divides by itself: a frame has at most 513 characters of 12 bits.
+    fn character_micros(&self, count: usize) -> u32 {
         let bits =
-            9u64.wrapping_add(u64::from(self.stop_bits)).wrapping_add(u64::from(self.parity != Parity::None));
-        let bits = bits.wrapping_mul(u64::try_from(count).unwrap_or(u64::MAX));
-        Duration::from_micros(bits.saturating_mul(1_000_000).div_ceil(u64::from(self.baud().max(1))))
+            9u32.wrapping_add(self.stop_bits.into()).wrapping_add(u32::from(self.parity != Parity::None));
+        let bits = bits.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        bits.saturating_mul(10_000).div_ceil(u32::from(self.rate.max(1)))
     }
 
     /// Three and a half characters: the silence between two frames.
     #[must_use]
     pub fn pause(&self) -> Duration {
-        Duration::from_micros(self.characters(7).as_micros().div_ceil(2))
+        Duration::from_micros(self.character_micros(7).div_ceil(2).into())
     }
 
     /// Silence that the port keeps before a frame.
@@ -300,9 +316,9 @@ impl PortConfig {
     /// Longest time that so many frames of eight bytes take on CAN: 29-bit identifiers, all stuff bits.
     #[must_use]
     pub fn can_frames(&self, count: usize) -> Duration {
-        const BITS: u64 = 160;
-        let bits = BITS.wrapping_mul(u64::try_from(count).unwrap_or(u64::MAX));
-        Duration::from_micros(bits.saturating_mul(1000).div_ceil(u64::from(self.rate.max(1))))
+        const BITS: u32 = 160;
+        let bits = BITS.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        Duration::from_micros(bits.saturating_mul(1000).div_ceil(u32::from(self.rate.max(1))).into())
     }
 }
 
@@ -323,36 +339,30 @@ pub struct Network {
 
 impl Default for Network {
     fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl Network {
+    /// Ports and routes that nobody has changed.
+    pub const DEFAULT: Self = {
         let mut routes = [Route::UNUSED; ROUTES];
-        let used = [
-            Route::remote(1, 15, Bus::Can, Protocol::NstOverCan, 1),
-            Route::remote(16, 30, Bus::Rs485A, Protocol::Nst, 1),
-            Route::local(31, Bus::LocalOutputs),
-            Route::remote(32, 39, Bus::Rs485B, Protocol::ModbusRtu, 1),
-            Route::local(40, Bus::LocalIo),
-            Route::local(247, Bus::Bridge),
-        ];
-        routes.iter_mut().zip(used).for_each(|(row, used)| *row = used);
-        let can = PortConfig {
-            rate: 1000,
-            parity: Parity::None,
-            stop_bits: 1,
-            gap_100us: 0,
-            node: 127,
-            echo: false,
-        };
+        routes[0] = Route::remote(1, 15, Bus::Can, Protocol::NstOverCan, 1);
+        routes[1] = Route::remote(16, 30, Bus::Rs485A, Protocol::Nst, 1);
+        routes[2] = Route::local(31, Bus::LocalOutputs);
+        routes[3] = Route::remote(32, 39, Bus::Rs485B, Protocol::ModbusRtu, 1);
+        routes[4] = Route::local(40, Bus::LocalIo);
+        routes[5] = Route::local(247, Bus::Bridge);
         let ports = [
             PortConfig::serial(921_600, 0),
             PortConfig::serial(115_200, 0),
             // an NDAM station delimits frames by 10 ms
             PortConfig::serial(19_200, 110),
-            can,
+            PortConfig { rate: 1000, node: 127, ..PortConfig::serial(0, 0) },
         ];
         Self { ports, routes }
-    }
-}
+    };
 
-impl Network {
     /// Whether ports and routes fit together; one that would lock the host out does not.
     #[must_use]
     pub fn is_valid(&self) -> bool {
@@ -411,11 +421,15 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { quarantine_after: 3, probe_period_ms: 1000, host_silence_ms: 0, burst_silence_100us: 200 }
+        Self::DEFAULT
     }
 }
 
 impl Limits {
+    /// Limits that nobody has changed.
+    pub const DEFAULT: Self =
+        Self { quarantine_after: 3, probe_period_ms: 1000, host_silence_ms: 0, burst_silence_100us: 200 };
+
     /// Time between two probes of a device in quarantine.
     #[must_use]
     pub const fn probe_period(&self) -> Duration {

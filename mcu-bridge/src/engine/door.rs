@@ -1,13 +1,13 @@
 //! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
 
-use super::Engine;
 use super::backlog::{Content, QueueFull};
 use super::config::{Bus, Port, Route};
 use super::counters::count;
-use super::host::{FRAME_MAX, HostFormat};
+use super::host::HostFormat;
 use super::listener::Spelling;
 use super::quarantine::Admission;
 use super::transaction::{Expected, Request};
+use super::{Core, Engine};
 use jointbus_protocol::deframe::{Event, Fault, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
@@ -16,32 +16,43 @@ use jointbus_protocol::{checksum, ndam9010, nst};
 impl Engine {
     /// Takes bytes from the host.
     pub(super) fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
-        let mut frame = [0; FRAME_MAX];
-        while let Some(event) =
-            self.host.feed(&HostFormat(&self.live), &mut bytes, now).map(|event| apart(event, &mut frame))
-        {
-            self.take(event, &frame, now);
+        let Self { host, core } = self;
+        host.set_silence(core.limits.burst_silence());
+        while let Some(event) = host.feed(&HostFormat(&core.live), &mut bytes, now) {
+            core.take(&event, now);
+            core.make_change(now);
         }
     }
 
     /// Notices the silence after a burst from the host.
     pub(super) fn end_host_burst(&mut self, now: Instant) {
-        let mut frame = [0; FRAME_MAX];
-        let event = self.host.poll(&HostFormat(&self.live), now).map(|event| apart(event, &mut frame));
-        if let Some(event) = event {
-            self.take(event, &frame, now);
+        let Self { host, core } = self;
+        host.set_silence(core.limits.burst_silence());
+        if let Some(event) = host.poll(&HostFormat(&core.live), now) {
+            core.take(&event, now);
+            core.make_change(now);
+        }
+    }
+}
+
+impl Core {
+    /// Makes the change that a request has asked for. Here and not where it was asked for, which is deeper in the stack.
+    fn make_change(&mut self, now: Instant) {
+        if let Some(change) = self.change.take() {
+            self.change(change, now);
         }
     }
 
-    fn take(&mut self, event: Result<usize, (u8, Fault)>, frame: &[u8], now: Instant) {
+    fn take(&mut self, event: &Event<'_>, now: Instant) {
         let [counters, ..] = &mut self.counters;
-        match event {
-            Ok(length) => {
+        match *event {
+            Event::Frame(frame) => {
                 count(&mut counters.received);
                 self.last_request = Some(now);
-                self.request(frame.get(..length).unwrap_or(&[]), now);
+                self.request(frame, now);
             }
-            Err((unit, fault)) => {
+            Event::Dropped { fault, burst } => {
+                let unit = burst.first().copied().unwrap_or(0);
                 let known =
                     matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.live.route(unit).is_some();
                 match (known, fault) {
@@ -134,7 +145,13 @@ impl Engine {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
         if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
-            return self.serve_local(unit, route.bus, &asked, body, now);
+            if !self.output.has_room() {
+                return self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+            }
+            return match route.bus {
+                Bus::Bridge => self.serve_own(unit, body, now),
+                _ => self.serve_local(unit, route.bus, &asked),
+            };
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
@@ -142,16 +159,14 @@ impl Engine {
         self.admit(&route, request, body, now);
     }
 
-    /// Answers for one of the board's own units.
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>, pdu: &[u8], now: Instant) {
-        if !self.output.has_room() {
-            return self.refuse(unit, Some((asked.function().code(), ExceptionCode::ServerDeviceBusy)));
-        }
+    /// Answers for the board's own outputs or inputs and outputs. Apart, so that a request for a bus goes without its
+    /// buffer.
+    #[inline(never)]
+    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>) {
         let mut out = [0; modbus::PDU_MAX];
         let response = match bus {
             Bus::LocalOutputs => self.outputs.dispatch(asked, &mut out),
-            Bus::LocalIo => ndam9010::dispatch(&mut self.io, asked, &mut out),
-            _ => return self.serve_own(unit, pdu, now),
+            _ => ndam9010::dispatch(&mut self.io, asked, &mut out),
         };
         if let Ok(response) = response {
             let [counters, ..] = &mut self.counters;
@@ -241,18 +256,5 @@ impl Engine {
         if let Some((function, exception)) = exception {
             self.output.refuse(counters, unit, function, exception);
         }
-    }
-}
-
-/// What came out of the host's bytes, apart from the deframer: the length of the frame, copied to `to`, or the unit and
-/// the fault of a burst.
-fn apart(event: Event<'_>, to: &mut [u8; FRAME_MAX]) -> Result<usize, (u8, Fault)> {
-    match event {
-        Event::Frame(frame) => {
-            // the deframer's frames are never longer
-            to.iter_mut().zip(frame).for_each(|(place, byte)| *place = *byte);
-            Ok(frame.len())
-        }
-        Event::Dropped { fault, burst } => Err((burst.first().copied().unwrap_or(0), fault)),
     }
 }

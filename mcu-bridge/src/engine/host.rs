@@ -2,9 +2,9 @@
 
 use super::config::{Network, Protocol};
 use super::counters::{Counters, count};
+use heapless::Vec;
 use jointbus_protocol::deframe::{BurstDeframer, Format, FrameLength, STRAY_MAX};
-use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, Response, rtu};
-use jointbus_protocol::wire::{NoSpace, Writer};
+use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
 use jointbus_protocol::{checksum, nst};
 
 /// Longest frame of the host: NST and Modbus agree.
@@ -40,8 +40,11 @@ impl Format for HostFormat<'_> {
     }
 }
 
-/// Room for one reply of each bus, one of the board's own units, and a heap of exceptions.
-const OUTPUT: usize = 5 * FRAME_MAX;
+/// Room for one reply of each bus, for one of the board's own units, and for exceptions.
+const OUTPUT: usize = USABLE + FRAME_MAX;
+
+/// What replies may take: the rest stays free for exceptions.
+const USABLE: usize = 4 * FRAME_MAX;
 
 /// Replies on their way to the host.
 ///
@@ -49,35 +52,32 @@ const OUTPUT: usize = 5 * FRAME_MAX;
 /// no reply.
 #[derive(Debug)]
 pub(super) struct Output {
-    buffer: [u8; OUTPUT],
+    buffer: Vec<u8, OUTPUT>,
     start: usize,
-    end: usize,
     reserved: usize,
 }
 
 impl Output {
     pub(super) const fn new() -> Self {
-        Self { buffer: [0; OUTPUT], start: 0, end: 0, reserved: 0 }
+        Self { buffer: Vec::new(), start: 0, reserved: 0 }
     }
 
     /// What is to be sent next.
     pub(super) fn pending(&self) -> &[u8] {
-        self.buffer.get(self.start..self.end).unwrap_or(&[])
+        self.buffer.get(self.start..).unwrap_or(&[])
     }
 
     /// So many of the pending bytes were taken.
     pub(super) fn consume(&mut self, taken: usize) {
-        self.start = self.start.saturating_add(taken).min(self.end);
-        if self.start == self.end {
+        self.start = self.start.saturating_add(taken).min(self.buffer.len());
+        if self.start == self.buffer.len() {
             self.start = 0;
-            self.end = 0;
+            self.buffer.clear();
         }
     }
 
     /// Whether a reply of any length fits beside those that are reserved for.
     pub(super) fn has_room(&self) -> bool {
-        // one reply's worth stays free for exceptions
-        const USABLE: usize = OUTPUT - FRAME_MAX;
         self.pending().len().saturating_add(self.reserved).saturating_add(FRAME_MAX) <= USABLE
     }
 
@@ -89,44 +89,34 @@ impl Output {
         self.reserved = self.reserved.saturating_sub(FRAME_MAX);
     }
 
-    /// Queues a Modbus response.
-    pub(super) fn respond(&mut self, counters: &mut Counters, unit: u8, response: &Response<'_>) {
-        self.put(counters, unit, |writer| response.encode(writer));
-    }
-
     /// Queues the refusal of a Modbus request.
     pub(super) fn refuse(&mut self, counters: &mut Counters, unit: u8, function: u8, why: ExceptionCode) {
-        self.respond(counters, unit, &Response::exception(FunctionCode::from_code(function), why));
+        self.relay(counters, unit, &[function | FunctionCode::EXCEPTION_FLAG, why.code()]);
     }
 
-    /// Queues a reply whose data unit or body came from a bus.
+    /// Queues a reply of a data unit or body.
     pub(super) fn relay(&mut self, counters: &mut Counters, unit: u8, content: &[u8]) {
-        self.put(counters, unit, |writer| writer.slice(content));
-    }
-
-    fn put(
-        &mut self,
-        counters: &mut Counters,
-        unit: u8,
-        write: impl FnOnce(&mut Writer<'_>) -> Result<(), NoSpace>,
-    ) {
-        if OUTPUT.saturating_sub(self.end) <= FRAME_MAX && self.start > 0 && self.start <= self.end {
-            self.buffer.copy_within(self.start..self.end, 0);
-            self.end = self.end.saturating_sub(self.start);
+        if OUTPUT.saturating_sub(self.buffer.len()) <= FRAME_MAX && self.start > 0 {
+            let left = self.pending().len();
+            self.buffer.copy_within(self.start.., 0);
+            self.buffer.truncate(left);
             self.start = 0;
         }
-        let mut writer = Writer::new(self.buffer.get_mut(self.end..).unwrap_or(&mut []));
-        let written = writer
-            .u8(unit)
-            .and_then(|()| write(&mut writer))
-            .and_then(|()| checksum::seal(&mut writer))
-            .map(|()| writer.finish().len());
-        match written {
-            Ok(length) => {
-                self.end = self.end.saturating_add(length);
-                count(&mut counters.sent);
+        let frame = self.buffer.len();
+        let whole = self
+            .buffer
+            .push(unit)
+            .and_then(|()| self.buffer.extend_from_slice(content).map_err(|_| unit))
+            .and_then(|()| {
+                let crc = checksum::crc16(self.buffer.get(frame..).unwrap_or(&[]));
+                self.buffer.extend_from_slice(&crc.to_le_bytes()).map_err(|_| unit)
+            });
+        match whole {
+            Ok(()) => count(&mut counters.sent),
+            Err(_) => {
+                self.buffer.truncate(frame);
+                count(&mut counters.overruns);
             }
-            Err(NoSpace) => count(&mut counters.overruns),
         }
     }
 }

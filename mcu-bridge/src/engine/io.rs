@@ -1,11 +1,25 @@
 //! The board's own inputs and outputs as an NDAM module.
 
 use super::LOCAL_IO;
+use core::convert::Infallible;
 use jointbus_protocol::modbus::server::RegisterWriter;
 use jointbus_protocol::ndam9010::{ChannelError, Layout, Module};
+use jointbus_protocol::nxi6201;
 
 /// Values of the analog inputs.
 pub(super) type Analog = [u16; LOCAL_IO.analog_inputs as usize];
+
+/// The board's own outputs: the firmware looks at the registers.
+#[derive(Debug)]
+pub(super) struct LocalOutputs;
+
+impl nxi6201::Hardware for LocalOutputs {
+    type Error = Infallible;
+
+    fn commit(&mut self, _settings: &nxi6201::Settings) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
 
 /// The module. What the board has not told, or can't, fails; an output never does.
 #[derive(Debug, Clone, Default)]

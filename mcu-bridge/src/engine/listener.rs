@@ -10,7 +10,7 @@ use jointbus_protocol::deframe::{Expectation, ReplySearch};
 use jointbus_protocol::modbus::ascii;
 
 /// Bytes that the search for a reply looks back on.
-const WINDOW: usize = FRAME_MAX + 64;
+const WINDOW: usize = FRAME_MAX + 16;
 
 /// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
 const KINDS: usize = 2 * (OWED + 1);
@@ -63,15 +63,17 @@ pub(super) enum Listener {
 }
 
 impl Listener {
-    pub(super) fn new(is_ascii: bool) -> Self {
-        if is_ascii { Self::Ascii(ascii::Deframer::new()) } else { Self::Sliding(ReplySearch::default()) }
+    pub(super) const fn new() -> Self {
+        Self::Sliding(ReplySearch::new())
     }
 
     /// Starts afresh.
     pub(super) fn reset(&mut self, is_ascii: bool) {
         self.discard();
-        if matches!(self, Self::Ascii(_)) != is_ascii {
-            *self = Self::new(is_ascii);
+        match (&self, is_ascii) {
+            (Self::Sliding(_), true) => *self = Self::Ascii(ascii::Deframer::new()),
+            (Self::Ascii(_), false) => *self = Self::new(),
+            _ => {}
         }
     }
 
@@ -111,7 +113,7 @@ impl Listener {
         matches!(self, Self::Sliding(search) if search.has_leftovers())
     }
 
-    /// Looks anew, because what is wanted has changed.
+    /// Other kinds are waited for now, perhaps by what was received already.
     pub(super) const fn start_over(&mut self) {
         if let Self::Sliding(search) = self {
             search.start_over();

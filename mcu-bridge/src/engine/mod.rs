@@ -20,7 +20,7 @@ use can::CanBus;
 use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
 use counters::count;
 use host::{HostDeframer, Output};
-use io::{Analog, LocalIo};
+use io::{Analog, LocalIo, LocalOutputs};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nxi6201;
@@ -40,9 +40,28 @@ pub use settings::{STORED_LENGTH, Settings, SlotSettings};
 pub const LOCAL_IO: Layout =
     Layout { digital_inputs: 8, digital_outputs: 8, analog_inputs: 4, analog_outputs: 0 };
 
+/// What becomes of ports and routes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Change {
+    /// The staged ones go live.
+    Apply,
+    /// The confirmed ones go live, and are staged.
+    RollBack,
+    /// The defaults are staged.
+    Defaults,
+}
+
 /// The bridge.
 #[derive(Debug)]
 pub struct Engine {
+    /// Apart from all else, because its frames are worked on where they are.
+    host: HostDeframer,
+    core: Core,
+}
+
+/// The bridge behind its door.
+#[derive(Debug)]
+struct Core {
     identity: Identity,
     health: Health,
     live: Network,
@@ -54,7 +73,8 @@ pub struct Engine {
     saving: Option<Saving>,
     /// Ports whose settings changed and whose owner has not been told.
     changed_ports: [bool; 4],
-    host: HostDeframer,
+    /// A change that is to be made once its request has been answered.
+    change: Option<Change>,
     output: Output,
     counters: [Counters; 4],
     reply_times: [ReplyTime; ROUTES],
@@ -64,59 +84,72 @@ pub struct Engine {
     rs485_a: SerialBus,
     rs485_b: SerialBus,
     can: CanBus,
-    outputs: nxi6201::Card<nxi6201::RamHardware>,
+    outputs: nxi6201::Card<LocalOutputs>,
     io: LocalIo,
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
+    /// Nothing has come since [`Engine::poll`] looked, and nothing is due before this.
+    idle: Option<Idle>,
+}
+
+/// Until when there is nothing to do.
+#[derive(Debug, Clone, Copy)]
+enum Idle {
+    Until(Instant),
+    Forever,
 }
 
 impl Engine {
-    /// A bridge that starts at `now`.
+    /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`].
     #[must_use]
-    pub fn new(network: Network, limits: Limits, identity: Identity, now: Instant) -> Self {
-        let Ok(outputs) =
-            nxi6201::Card::power_up(nxi6201::RamHardware::default(), &nxi6201::Settings::default());
+    pub fn new(identity: Identity, now: Instant) -> Self {
+        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs, &nxi6201::Settings::default());
         Self {
-            identity,
-            health: Health::default(),
-            live: network,
-            staged: network,
-            confirmed: network,
-            confirm_until: None,
-            limits,
-            command: None,
-            saving: None,
-            changed_ports: [false; 4],
-            host: HostDeframer::new(limits.burst_silence()),
-            output: Output::new(),
-            counters: [Counters::default(); 4],
-            reply_times: [ReplyTime::default(); ROUTES],
-            diagnostics: Diagnostics::default(),
-            quarantine: Quarantine::default(),
-            polling: Polling::default(),
-            rs485_a: SerialBus::new(network.speaks_ascii(Bus::Rs485A), now),
-            rs485_b: SerialBus::new(network.speaks_ascii(Bus::Rs485B), now),
-            can: CanBus::new(network.port(Port::Can).node),
-            outputs,
-            // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
-            io: LocalIo::default(),
-            last_request: Some(now),
+            host: HostDeframer::new(Limits::DEFAULT.burst_silence()),
+            core: Core {
+                identity,
+                health: Health::default(),
+                live: Network::DEFAULT,
+                staged: Network::DEFAULT,
+                confirmed: Network::DEFAULT,
+                confirm_until: None,
+                limits: Limits::DEFAULT,
+                command: None,
+                saving: None,
+                changed_ports: [false; 4],
+                change: None,
+                output: Output::new(),
+                counters: [Counters::default(); 4],
+                reply_times: [ReplyTime::default(); ROUTES],
+                diagnostics: Diagnostics::default(),
+                quarantine: Quarantine::default(),
+                polling: Polling::new(),
+                rs485_a: SerialBus::new(now),
+                rs485_b: SerialBus::new(now),
+                can: CanBus::new(Network::DEFAULT.port(Port::Can).node),
+                outputs,
+                // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
+                io: LocalIo::default(),
+                last_request: Some(now),
+                idle: None,
+            },
         }
     }
 
     /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.
     pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
+        self.core.idle = None;
         match port {
             Port::Host => self.receive_host(bytes, now),
-            Port::Rs485A => self.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
-            Port::Rs485B => self.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
+            Port::Rs485A => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
+            Port::Rs485B => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
             Port::Can => {}
         }
     }
 
     /// A port lost bytes or frames because nobody fetched them in time.
     pub fn overrun(&mut self, port: Port) {
-        if let Some(counters) = self.counters.get_mut(port.index()) {
+        if let Some(counters) = self.core.counters.get_mut(port.index()) {
             count(&mut counters.overruns);
         }
     }
@@ -125,204 +158,239 @@ impl Engine {
     #[must_use]
     pub fn output(&self, port: Port) -> &[u8] {
         match port {
-            Port::Host => self.output.pending(),
-            Port::Rs485A => self.rs485_a.pending(),
-            Port::Rs485B => self.rs485_b.pending(),
+            Port::Host => self.core.output.pending(),
+            Port::Rs485A => self.core.rs485_a.pending(),
+            Port::Rs485B => self.core.rs485_b.pending(),
             Port::Can => &[],
         }
     }
 
     /// A serial port took so many bytes of [`Engine::output`].
     pub fn consume(&mut self, port: Port, taken: usize) {
+        if taken == 0 {
+            return;
+        }
+        self.core.idle = None;
         match port {
-            Port::Host => self.output.consume(taken),
-            Port::Rs485A => self.rs485_a.consume(taken),
-            Port::Rs485B => self.rs485_b.consume(taken),
+            Port::Host => self.core.output.consume(taken),
+            Port::Rs485A => self.core.rs485_a.consume(taken),
+            Port::Rs485B => self.core.rs485_b.consume(taken),
             Port::Can => {}
         }
     }
 
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
     pub fn transmitted(&mut self, port: Port, now: Instant) {
-        self.on_serial(port, |bus, around| bus.transmitted(now, around));
+        self.core.idle = None;
+        self.core.on_serial(port, |bus, around| bus.transmitted(now, around));
     }
 
     /// Takes a frame that the CAN port received and that ended at `now`.
     pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
-        let (can, mut around) = self.can_parts();
+        self.core.idle = None;
+        let (can, mut around) = self.core.can_parts();
         can.receive(frame, now, &mut around);
     }
 
     /// The next frame for the CAN port, which takes it.
     pub fn next_frame(&mut self) -> Option<Frame> {
-        self.can.next_frame()
+        self.core.can.next_frame()
     }
 
     /// A frame that the CAN port took was acknowledged on the bus.
     pub fn frame_sent(&mut self, now: Instant) {
-        let (can, mut around) = self.can_parts();
+        self.core.idle = None;
+        let (can, mut around) = self.core.can_parts();
         can.frame_sent(now, &mut around);
     }
 
     /// Whether the CAN port is to give up the frames that it has not sent; it answers with [`Engine::frames_aborted`].
     #[must_use]
     pub fn wants_abort(&self) -> bool {
-        self.can.wants_abort()
+        self.core.can.wants_abort()
     }
 
     /// The CAN port has no frame to send any more.
     pub fn frames_aborted(&mut self, now: Instant) {
-        let (can, mut around) = self.can_parts();
+        self.core.idle = None;
+        let (can, mut around) = self.core.can_parts();
         can.aborted(now, &mut around);
     }
 
-    /// An attempt of the CAN port to send a frame failed; the controller tries again by itself.
+    /// An attempt of the CAN port to send a frame failed; the controller tries again by itself.core.
     pub const fn transmit_error(&mut self) {
-        let [.., can] = &mut self.counters;
+        let [.., can] = &mut self.core.counters;
         count(&mut can.transmit_errors);
     }
 
     /// A serial or CAN port received something whose checksum, parity or framing was wrong.
     pub fn receive_error(&mut self, port: Port) {
-        if let Some(counters) = self.counters.get_mut(port.index()) {
+        if let Some(counters) = self.core.counters.get_mut(port.index()) {
             count(&mut counters.checksum_errors);
         }
     }
 
     /// Whether the CAN controller is bus-off now. It returns only when it is restarted: see [`Engine::take_can_restart`].
     pub fn set_bus_off(&mut self, bus_off: bool, now: Instant) {
-        let (can, mut around) = self.can_parts();
+        if bus_off == self.core.can.is_off() {
+            return;
+        }
+        self.core.idle = None;
+        let (can, mut around) = self.core.can_parts();
         can.set_off(bus_off, now, &mut around);
     }
 
     /// Whether the CAN controller is to be restarted after it went bus-off, once a time: after 10 ms, twice as long
     /// each time in a row, at most 1 s.
     pub fn take_can_restart(&mut self, now: Instant) -> bool {
-        self.can.take_restart(now)
+        self.core.can.take_restart(now)
     }
 
     /// What the board found out about itself; that it is bus-off is told by [`Engine::set_bus_off`].
     pub const fn set_health(&mut self, health: Health) {
-        self.health = health;
+        self.core.health = health;
     }
 
     /// What is not well.
     #[must_use]
     pub const fn health(&self) -> Health {
-        self.health
+        self.core.health
     }
 
     /// The state of the board's digital inputs, DI0 in bit 0, and its analog inputs, `None` where they can't be measured.
     /// What is not known is answered with exception 04 by unit 40.
     pub fn set_inputs(&mut self, digital: u16, analog: impl Into<Option<Analog>>) {
-        self.io.inputs = Some(digital);
-        self.io.analog = analog.into();
+        self.core.io.inputs = Some(digital);
+        self.core.io.analog = analog.into();
     }
 
     /// What the board's analog outputs are to be.
     #[must_use]
     pub const fn analog_outputs(&self) -> &nxi6201::Settings {
-        self.outputs.settings()
+        self.core.outputs.settings()
     }
 
     /// What the board's digital outputs are to be, DO0 in bit 0.
     #[must_use]
     pub const fn digital_outputs(&self) -> u16 {
-        self.io.outputs
+        self.core.io.outputs
     }
 
     /// A command for the firmware, once; to be carried out when [`Engine::output`] of the host has been sent.
     pub const fn take_command(&mut self) -> Option<Command> {
-        self.command.take()
+        self.core.command.take()
     }
 
     /// The new settings of a port, once after they have changed.
     pub fn take_port_change(&mut self, port: Port) -> Option<PortConfig> {
-        let changed = self.changed_ports.get_mut(port.index())?;
-        core::mem::take(changed).then(|| *self.live.port(port))
+        let changed = self.core.changed_ports.get_mut(port.index())?;
+        core::mem::take(changed).then(|| *self.core.live.port(port))
     }
 
     /// Settings of a port in use.
     #[must_use]
     pub const fn port(&self, port: Port) -> &PortConfig {
-        self.live.port(port)
+        self.core.live.port(port)
     }
 
     /// Counters of a port.
     #[must_use]
     pub fn counters(&self, port: Port) -> Counters {
-        self.counters.get(port.index()).copied().unwrap_or_default()
+        self.core.counters.get(port.index()).copied().unwrap_or_default()
     }
 
     /// A polling slot and its newest sample; `None` past the last one.
     #[must_use]
     pub fn slot(&self, index: usize) -> Option<&Slot> {
-        self.polling.slot(index)
+        self.core.polling.slot(index)
     }
 
     /// Replies to reads that came over CAN with function code 0x10, as the NST manual prints them (4.3.2.10).
     #[must_use]
     pub const fn quirks(&self) -> u32 {
-        self.can.quirks()
+        self.core.can.quirks()
     }
 
-    /// Does what is due at `now`.
+    /// Does what is due at `now`; where nothing has come since the last time, and nothing is due, that is at once done.
     pub fn poll(&mut self, now: Instant) {
-        self.roll_back(now);
-        self.host_silence(now);
-        self.polling.tick(now);
+        match self.core.idle {
+            Some(Idle::Forever) => return,
+            Some(Idle::Until(until)) if now < until => return,
+            _ => {}
+        }
+        self.core.roll_back(now);
+        self.core.host_silence(now);
+        self.core.polling.tick(now);
         self.end_host_burst(now);
         for port in [Port::Rs485A, Port::Rs485B] {
-            self.on_serial(port, |bus, around| bus.poll(now, around));
+            self.core.on_serial(port, |bus, around| bus.poll(now, around));
         }
-        let (can, mut around) = self.can_parts();
+        let (can, mut around) = self.core.can_parts();
         can.poll(now, &mut around);
+        self.core.idle = Some(self.deadline().map_or(Idle::Forever, Idle::Until));
     }
 
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        let silence = self.last_request.filter(|_| self.limits.host_silence_ms > 0);
+        let silence = self.core.last_request.filter(|_| self.core.limits.host_silence_ms > 0);
         [
-            self.confirm_until,
-            silence.map(|last| last.after(self.host_silence_limit())),
+            self.core.confirm_until,
+            silence.map(|last| last.after(self.core.host_silence_limit())),
             self.host.deadline(),
-            self.polling.deadline(),
-            self.rs485_a.deadline(self.live.port(Port::Rs485A)),
-            self.rs485_b.deadline(self.live.port(Port::Rs485B)),
-            self.can.deadline(),
+            self.core.polling.deadline(),
+            self.core.rs485_a.deadline(self.core.live.port(Port::Rs485A)),
+            self.core.rs485_b.deadline(self.core.live.port(Port::Rs485B)),
+            self.core.can.deadline(),
         ]
         .into_iter()
         .flatten()
         .min()
     }
+}
 
-    /// Makes ports and routes live, dropping what waits or is in flight where something changed.
-    fn go_live(&mut self, network: Network, now: Instant) {
-        let former = core::mem::replace(&mut self.live, network);
-        for (old, new) in former.routes.iter().zip(&network.routes).filter(|(old, new)| old != new) {
-            self.quarantine.forget(old);
-            self.quarantine.forget(new);
-        }
-        for (port, bus) in [(Port::Rs485A, Bus::Rs485A), (Port::Rs485B, Bus::Rs485B), (Port::Can, Bus::Can)] {
-            let rows = former.routes.iter().zip(&network.routes);
-            let moved = rows.into_iter().any(|(old, new)| old != new && (old.bus == bus || new.bus == bus));
-            if !moved && former.port(port) == network.port(port) {
-                continue;
+impl Core {
+    /// Changes ports and routes, dropping what waits or is in flight where something changed.
+    fn change(&mut self, change: Change, now: Instant) {
+        let Self { live, staged, confirmed, quarantine, changed_ports, .. } = self;
+        let next = match change {
+            Change::Defaults => {
+                *staged = Network::default();
+                return;
             }
-            match port {
-                Port::Can => {
-                    let node = network.port(Port::Can).node;
-                    let (can, mut around) = self.can_parts();
-                    can.reset(node, &mut around);
+            Change::Apply => &*staged,
+            Change::RollBack => {
+                *staged = *confirmed;
+                &*confirmed
+            }
+        };
+        let mut moved = [false; 4];
+        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
+            quarantine.forget(old);
+            quarantine.forget(new);
+            for port in [old, new].into_iter().filter_map(|row| row.bus.port()) {
+                if let Some(moved) = moved.get_mut(port.index()) {
+                    *moved = true;
                 }
-                _ => self.on_serial(port, |bus, around| bus.reset(now, around)),
             }
         }
-        for port in Port::ALL {
-            if let Some(changed) = self.changed_ports.get_mut(port.index()) {
-                *changed |= former.port(port) != network.port(port);
+        for ((old, new), (moved, changed)) in
+            live.ports.iter().zip(&next.ports).zip(moved.iter_mut().zip(changed_ports))
+        {
+            *moved |= old != new;
+            *changed |= old != new;
+        }
+        *live = *next;
+        let [_, rs485_a, rs485_b, can] = moved;
+        for (port, moved) in [(Port::Rs485A, rs485_a), (Port::Rs485B, rs485_b)] {
+            if moved {
+                self.on_serial(port, |bus, around| bus.reset(now, around));
             }
+        }
+        if can {
+            let node = self.live.port(Port::Can).node;
+            let (can, mut around) = self.can_parts();
+            can.reset(node, &mut around);
         }
     }
 

@@ -1,13 +1,13 @@
 //! Unit 247: the bridge's own registers. Values wider than a register come high word first.
 
-use super::Engine;
-use super::config::{Limits, Network};
+use super::config::Limits;
 use super::counters::Counters;
-use super::polling::{Polling, Slot};
-use super::settings::{STORED_LENGTH, Settings, SlotSettings};
+use super::polling::Slot;
+use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
+use super::{Change, Core, Engine};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
-use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Response};
+use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -105,7 +105,7 @@ pub(super) struct Diagnostics {
 
 /// The bridge's registers, at one moment.
 struct Own<'a> {
-    engine: &'a mut Engine,
+    core: &'a mut Core,
     now: Instant,
 }
 
@@ -128,8 +128,9 @@ impl Server for Own<'_> {
         range: Range,
         out: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
-        let settings = self.engine.settings();
-        out.extend(range.addresses().map(|address| settings.read(address)));
+        let slots = self.core.slots();
+        let registers = self.core.holding(&slots);
+        out.extend(range.addresses().map(|address| registers.read(address)));
         Ok(())
     }
 
@@ -141,22 +142,22 @@ impl Server for Own<'_> {
         if !range.within(0, INPUT_LAST) {
             return Err(ExceptionCode::IllegalDataAddress);
         }
-        out.extend(range.addresses().map(|address| self.engine.input(address, self.now)));
+        out.extend(range.addresses().map(|address| self.core.input(address, self.now)));
         Ok(())
     }
 
     fn write_registers(&mut self, range: Range, values: Registers<'_>) -> Result<(), ExceptionCode> {
-        self.engine.write_own(range, values, self.now)
+        self.core.write_own(range, values, self.now)
     }
 
     fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
-        let [host, ..] = &self.engine.counters;
-        let Diagnostics { requests, exceptions } = self.engine.diagnostics;
+        let [host, ..] = &self.core.counters;
+        let Diagnostics { requests, exceptions } = self.core.diagnostics;
         let count = match what {
             Diagnostic::ReturnQueryData => return Ok(None),
             _ if data.get(0) != Some(0) => return Err(ExceptionCode::IllegalDataValue),
             Diagnostic::ClearCounters => {
-                self.engine.clear_counters();
+                self.core.clear_counters();
                 return Ok(None);
             }
             Diagnostic::BusMessageCount => host.received as u16,
@@ -192,13 +193,14 @@ impl Server for Own<'_> {
     }
 }
 
-impl Engine {
+impl Core {
     /// Answers a request to the bridge itself.
+    #[inline(never)] // its buffer is not for the other local units
     pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
         self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
         let was_saving = self.saving.is_some();
         let mut response = [0; PDU_MAX];
-        let Ok(response) = server::respond(&mut Own { engine: self, now }, pdu, &mut response) else {
+        let Ok(response) = server::respond(&mut Own { core: self, now }, pdu, &mut response) else {
             return;
         };
         if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {
@@ -270,46 +272,45 @@ impl Engine {
         let (Some(time), Some(route)) = (self.reply_times.get(index), self.live.routes.get(index)) else {
             return 0;
         };
-        let tens = |span: Duration| u16::try_from(span.as_micros() / 10).unwrap_or(u16::MAX);
         match offset % 4 {
             0 => self.quarantine.mask(route, &self.limits),
-            1 => tens(time.last),
-            2 => tens(time.largest),
+            1 => time.last.tens(),
+            2 => time.largest.tens(),
             _ => 0,
         }
     }
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
-        let former = self.settings();
-        let mut settings = former;
+        let former = self.slots();
+        let mut slots = former;
+        let mut registers =
+            HoldingMut { network: &mut self.staged, limits: &mut self.limits, slots: &mut slots };
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
-                _ => settings.write(address, value)?,
+                _ => registers.judge(address, value)?,
             }
         }
         if let Some(command) = command {
             return self.command(command, now);
         }
-        self.staged = settings.network;
-        self.set_limits(settings.limits);
-        self.set_slots(&former.slots, &settings.slots, now);
+        for (address, value) in range.addresses().zip(values.iter()) {
+            registers.write(address, value)?;
+        }
+        self.set_slots(&former, &slots, now);
         Ok(())
     }
 
     /// The registers as the host sees them: the network staged.
-    fn settings(&self) -> Settings {
-        let slots = core::array::from_fn(|index| {
-            let slot = self.polling.slot(index).copied().unwrap_or_default();
-            (slot.unit, slot.period_100us)
-        });
-        Settings { network: self.staged, limits: self.limits, slots }
+    fn holding<'s>(&'s self, slots: &'s SlotSettings) -> Holding<'s> {
+        Holding { network: &self.staged, limits: &self.limits, slots }
     }
 
-    fn set_limits(&mut self, limits: Limits) {
-        self.limits = limits;
-        self.host.set_silence(limits.burst_silence());
+    fn slots(&self) -> SlotSettings {
+        core::array::from_fn(|index| {
+            self.polling.slot(index).map_or((0, 0), |slot| (slot.unit, slot.period_100us))
+        })
     }
 
     /// Starts the slots that change anew.
@@ -321,39 +322,6 @@ impl Engine {
         }
     }
 
-    /// Starts with settings that were stored; to be called before anything else.
-    pub fn restore(&mut self, settings: &Settings, now: Instant) {
-        self.staged = settings.network;
-        self.confirmed = settings.network;
-        self.set_limits(settings.limits);
-        self.set_slots(&SlotSettings::default(), &settings.slots, now);
-        self.go_live(settings.network, now);
-    }
-
-    /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
-    pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
-        match self.saving {
-            Some(Saving { taken: false, unit }) => {
-                self.saving = Some(Saving { taken: true, unit });
-                Some(Settings { network: self.confirmed, ..self.settings() }.encode())
-            }
-            _ => None,
-        }
-    }
-
-    /// Whether what was to be stored is stored: the host gets its answer.
-    pub fn saved(&mut self, stored: bool) {
-        let Some(Saving { unit, .. }) = self.saving.take() else { return };
-        let function = FunctionCode::WriteSingleRegister;
-        let response = if stored {
-            Response::WriteSingle { function, address: 0, value: command::SAVE }
-        } else {
-            Response::exception(function, ExceptionCode::ServerDeviceFailure)
-        };
-        let [counters, ..] = &mut self.counters;
-        self.output.respond(counters, unit, &response);
-    }
-
     /// Only a write of register 0 alone gets here: there are no others beside it.
     fn command(&mut self, command: u16, now: Instant) -> Result<(), ExceptionCode> {
         match command {
@@ -362,7 +330,7 @@ impl Engine {
                     return Err(ExceptionCode::IllegalDataValue);
                 }
                 self.confirm_until = Some(now.after(CONFIRM_WITHIN));
-                self.go_live(self.staged, now);
+                self.change = Some(Change::Apply);
             }
             command::CONFIRM => {
                 self.confirm_until = None;
@@ -372,9 +340,9 @@ impl Engine {
             command::SAVE if self.saving.is_some() => return Err(ExceptionCode::ServerDeviceBusy),
             command::SAVE => self.saving = Some(Saving { unit: 0, taken: false }),
             command::DEFAULTS => {
-                self.staged = Network::default();
-                self.set_limits(Limits::default());
-                self.polling = Polling::default();
+                self.change = Some(Change::Defaults);
+                self.limits = Limits::default();
+                self.polling.clear();
             }
             command::REBOOT => self.command = Some(Command::Reboot),
             command::CLEAR_COUNTERS => self.clear_counters(),
@@ -387,8 +355,44 @@ impl Engine {
     pub(super) fn roll_back(&mut self, now: Instant) {
         if self.confirm_until.is_some_and(|end| now >= end) {
             self.confirm_until = None;
-            self.staged = self.confirmed;
-            self.go_live(self.confirmed, now);
+            self.change(Change::RollBack, now);
+        }
+    }
+}
+
+impl Engine {
+    /// Starts with settings that were stored; to be called before anything else.
+    #[inline(never)] // what it needs of the stack is not needed beside the engine's first state
+    pub fn restore(&mut self, settings: &Settings, now: Instant) {
+        let Self { core, .. } = self;
+        core.idle = None;
+        core.confirmed = settings.network;
+        core.limits = settings.limits;
+        core.set_slots(&SlotSettings::default(), &settings.slots, now);
+        core.change(Change::RollBack, now);
+    }
+
+    /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
+    pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
+        let Self { core, .. } = self;
+        let Some(Saving { taken: false, unit }) = core.saving else { return None };
+        core.saving = Some(Saving { taken: true, unit });
+        let (slots, mut stored) = (core.slots(), [0; STORED_LENGTH]);
+        Holding { network: &core.confirmed, ..core.holding(&slots) }.encode(&mut stored);
+        Some(stored)
+    }
+
+    /// Whether what was to be stored is stored: the host gets its answer.
+    pub fn saved(&mut self, stored: bool) {
+        let Self { core, .. } = self;
+        let Some(Saving { unit, .. }) = core.saving.take() else { return };
+        let function = FunctionCode::WriteSingleRegister.code();
+        let [counters, ..] = &mut core.counters;
+        if stored {
+            let [high, low] = command::SAVE.to_be_bytes();
+            core.output.relay(counters, unit, &[function, 0, 0, high, low]);
+        } else {
+            core.output.refuse(counters, unit, function, ExceptionCode::ServerDeviceFailure);
         }
     }
 }

@@ -4,7 +4,7 @@ use super::backlog::Content;
 use super::config::{Bus, Network, Route};
 use super::listener::Spelling;
 use super::transaction::{Expected, Origin, Request};
-use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
+use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -72,7 +72,7 @@ impl Progress {
 }
 
 /// A polling slot.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Slot {
     /// Unit that it reads, as the host sees it.
     pub unit: u8,
@@ -93,7 +93,27 @@ pub struct Slot {
     next: Instant,
 }
 
+impl Default for Slot {
+    fn default() -> Self {
+        Self::OFF
+    }
+}
+
 impl Slot {
+    /// A slot that reads nothing.
+    pub const OFF: Self = Self {
+        unit: 0,
+        period_100us: 0,
+        sequence: 0,
+        stamp: Instant::from_micros(0),
+        sample: Sample([0; AXES]),
+        missed: 0,
+        failures: 0,
+        has_sample: false,
+        progress: Progress::Idle,
+        next: Instant::from_micros(0),
+    };
+
     /// A slot that starts at once.
     pub(super) fn new(unit: u8, period_100us: u16, now: Instant) -> Self {
         Self { unit, period_100us, next: now, ..Self::default() }
@@ -120,7 +140,9 @@ impl Slot {
         if period == Duration::ZERO || now < self.next {
             return;
         }
-        let late = now.since(self.next).as_micros().checked_div(period.as_micros()).unwrap_or(0);
+        // in 32 bits, which the processor divides by itself; what is later than 71 minutes is counted at the next look
+        let since = u32::try_from(now.since(self.next).as_micros()).unwrap_or(u32::MAX);
+        let late = since.checked_div(u32::from(self.period_100us).wrapping_mul(100)).map_or(0, u64::from);
         self.next = self.next.after(period.times(late.saturating_add(1)));
         // a read that comes late, but within its period, is none that was missed
         let (progress, ended) = match self.progress {
@@ -135,10 +157,14 @@ impl Slot {
 }
 
 /// All slots.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Polling([Slot; SLOTS]);
 
 impl Polling {
+    pub(super) const fn new() -> Self {
+        Self([Slot::OFF; SLOTS])
+    }
+
     pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
         self.0.get(index)
     }
@@ -148,6 +174,11 @@ impl Polling {
         if let Some(place) = self.0.get_mut(index) {
             *place = slot;
         }
+    }
+
+    /// Switches all slots off.
+    pub(super) fn clear(&mut self) {
+        self.0.iter_mut().for_each(|slot| *slot = Slot::OFF);
     }
 
     pub(super) fn tick(&mut self, now: Instant) {
@@ -167,8 +198,8 @@ impl Polling {
         now: Instant,
         held: impl Fn(&Request) -> bool,
     ) -> Option<Request> {
-        let mut due: Option<(usize, Instant, Request)> = None;
-        for (index, slot) in self.0.iter().enumerate().filter(|(_, slot)| slot.progress == Progress::Due) {
+        let mut due: Option<(u8, Instant, Request)> = None;
+        for (index, slot) in (0..).zip(&self.0).filter(|(_, slot)| slot.progress == Progress::Due) {
             let began = slot.next;
             if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
                 continue;
@@ -182,7 +213,7 @@ impl Polling {
             }
         }
         let (index, _, request) = due?;
-        self.0.get_mut(index)?.progress = Progress::InFlight;
+        self.0.get_mut(usize::from(index))?.progress = Progress::InFlight;
         Some(request)
     }
 
@@ -210,7 +241,7 @@ impl Polling {
 }
 
 /// The read of a slot whose unit speaks NST.
-fn request(unit: u8, index: usize, number: u8, route: &Route, now: Instant) -> Request {
+fn request(unit: u8, index: u8, number: u8, route: &Route, now: Instant) -> Request {
     let expected = Expected::Nst(serial::ExpectedReply::new(route.remote_of(unit), &READ));
     let function = nst::FunctionCode::Read.code();
     let request = Request::new(unit, function, Some(expected), (Some(number), route), now);

@@ -14,7 +14,24 @@ struct Device {
     /// Transactions in a row without an answer.
     unanswered: u8,
     /// When the next request is let through, once it is in quarantine.
-    probe: Instant,
+    probe: Moment,
+}
+
+/// An [`Instant`] in six bytes, since there are many: enough for nine years.
+#[derive(Debug, Clone, Copy)]
+struct Moment([u8; 6]);
+
+impl From<Instant> for Moment {
+    fn from(instant: Instant) -> Self {
+        let [low @ .., _, _] = instant.as_micros().to_le_bytes();
+        Self(low)
+    }
+}
+
+impl From<Moment> for Instant {
+    fn from(Moment([a, b, c, d, e, f]): Moment) -> Self {
+        Self::from_micros(u64::from_le_bytes([a, b, c, d, e, f, 0, 0]))
+    }
 }
 
 /// What is to become of a request.
@@ -40,7 +57,7 @@ impl Quarantine {
 
     /// A transaction ended without an answer.
     pub(super) fn unanswered(&mut self, unit: u8, limits: &Limits, now: Instant) {
-        let probe = now.after(limits.probe_period());
+        let probe = now.after(limits.probe_period()).into();
         if let Some(device) = self.0.iter_mut().find(|device| device.unit == unit) {
             device.unanswered = device.unanswered.saturating_add(1);
             if !device.is_quarantined(limits) || device.unanswered == limits.quarantine_after {
@@ -56,9 +73,9 @@ impl Quarantine {
     pub(super) fn admit(&mut self, unit: u8, waits: bool, limits: &Limits, now: Instant) -> Admission {
         match self.0.iter_mut().find(|device| device.unit == unit && device.is_quarantined(limits)) {
             None => Admission::Normal,
-            Some(device) if waits || now < device.probe => Admission::Refused,
+            Some(device) if waits || now < device.probe.into() => Admission::Refused,
             Some(device) => {
-                device.probe = now.after(limits.probe_period());
+                device.probe = now.after(limits.probe_period()).into();
                 Admission::Probe
             }
         }

@@ -64,8 +64,9 @@ pub(super) struct SerialBus {
 }
 
 impl SerialBus {
-    pub(super) fn new(is_ascii: bool, now: Instant) -> Self {
-        Self { backlog: Backlog::new(), flight: None, listener: Listener::new(is_ascii), is_ascii, busy: now }
+    /// A bus that speaks RTU or NST.
+    pub(super) const fn new(now: Instant) -> Self {
+        Self { backlog: Backlog::new(), flight: None, listener: Listener::new(), is_ascii: false, busy: now }
     }
 
     /// Takes a request.
@@ -121,7 +122,7 @@ impl SerialBus {
         let [longest, other] = expected.lengths();
         let length = if expected.is_open() { FRAME_MAX } else { longest.max(other) };
         let on_wire = around.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
-        let deadline = now.after(request.timeout).after(on_wire);
+        let deadline = now.after(request.timeout.into()).after(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
         self.discard(around);
@@ -167,6 +168,7 @@ impl SerialBus {
     }
 
     /// Does what is due.
+    #[inline(never)] // twice there, and what it needs of the stack is not needed elsewhere
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         // the reply in flight may be half received: it has another place among the kinds now
         if self.backlog.owed.expire(now) {

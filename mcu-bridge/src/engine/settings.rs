@@ -41,27 +41,28 @@ fn plain_registers() -> impl Iterator<Item = u16> {
     ports.chain(LIMITS).chain(SLOT_REGISTERS)
 }
 
+/// The holding registers, where their values are.
+#[derive(Clone, Copy)]
+pub(super) struct Holding<'a> {
+    pub(super) network: &'a Network,
+    pub(super) limits: &'a Limits,
+    pub(super) slots: &'a SlotSettings,
+}
+
+/// The same, to be written.
+pub(super) struct HoldingMut<'a> {
+    pub(super) network: &'a mut Network,
+    pub(super) limits: &'a mut Limits,
+    pub(super) slots: &'a mut SlotSettings,
+}
+
 impl Settings {
     /// The stored form: the registers in their order, and a CRC.
     #[must_use]
     pub fn encode(&self) -> [u8; STORED_LENGTH] {
         let mut stored = [0; STORED_LENGTH];
-        // the array is as long as what is written
-        let _ = self.write_all(&mut Writer::new(&mut stored));
+        Holding { network: &self.network, limits: &self.limits, slots: &self.slots }.encode(&mut stored);
         stored
-    }
-
-    fn write_all(&self, writer: &mut Writer<'_>) -> Result<(), NoSpace> {
-        writer.u16_be(STORED_VERSION)?;
-        for address in plain_registers() {
-            writer.u16_be(self.read(address))?;
-        }
-        for row in &self.network.routes {
-            for offset in 0..ROUTE_WORDS {
-                writer.u16_be(row.register(offset))?;
-            }
-        }
-        checksum::seal(writer)
     }
 
     /// The settings in a stored form; `None` where it is damaged, of another version, or would not be accepted from the
@@ -73,8 +74,10 @@ impl Settings {
             return None;
         }
         let mut settings = Self::default();
+        let Self { network, limits, slots } = &mut settings;
+        let mut registers = HoldingMut { network, limits, slots };
         for address in plain_registers() {
-            settings.write(address, reader.u16_be().ok()?).ok()?;
+            registers.write(address, reader.u16_be().ok()?).ok()?;
         }
         for row in &mut settings.network.routes {
             let mut words = [0; ROUTE_WORDS as usize];
@@ -90,6 +93,26 @@ impl Settings {
             }
         }
         settings.network.is_valid().then_some(settings)
+    }
+}
+
+impl Holding<'_> {
+    pub(super) fn encode(&self, stored: &mut [u8; STORED_LENGTH]) {
+        // the array is as long as what is written
+        let _ = self.write_all(&mut Writer::new(stored));
+    }
+
+    fn write_all(&self, writer: &mut Writer<'_>) -> Result<(), NoSpace> {
+        writer.u16_be(STORED_VERSION)?;
+        for address in plain_registers() {
+            writer.u16_be(self.read(address))?;
+        }
+        for row in &self.network.routes {
+            for offset in 0..ROUTE_WORDS {
+                writer.u16_be(row.register(offset))?;
+            }
+        }
+        checksum::seal(writer)
     }
 
     /// A holding register; what is not listed reads 0.
@@ -119,52 +142,73 @@ impl Settings {
             _ => 0,
         }
     }
+}
+
+impl HoldingMut<'_> {
+    /// Whether a holding register takes a value: each is judged by itself.
+    pub(super) fn judge(&self, address: u16, value: u16) -> Result<(), ExceptionCode> {
+        let offset = address.wrapping_sub(0x0100);
+        // what is written is a copy, of a port, a route, or the few others
+        match address {
+            0x0010..=0x002F => {
+                let offset = address.wrapping_sub(0x0010);
+                let port = self.network.ports.get(usize::from(offset / 8)).copied();
+                port.ok_or(UNLISTED)?.set_register(offset % 8, value)
+            }
+            0x0100..=0x01FF => {
+                let row = self.network.routes.get(usize::from(offset / 0x10)).copied();
+                row.ok_or(UNLISTED)?.set_register(offset % 0x10, value)
+            }
+            _ => set_plain(&mut self.limits.clone(), &mut self.slots.clone(), address, value),
+        }
+    }
 
     /// Sets a holding register.
     pub(super) fn write(&mut self, address: u16, value: u16) -> Result<(), ExceptionCode> {
         const PORTS: u16 = Port::ALL.len() as u16;
         const ROWS: u16 = ROUTES as u16;
         const _: () = assert!(0x0010 + 8 * PORTS == 0x0030 && 0x0100 + 0x10 * ROWS == 0x0200);
-        let unlisted = ExceptionCode::IllegalDataAddress;
         match address {
             0x0010..=0x002F => {
                 let offset = address.wrapping_sub(0x0010);
-                let port = self.network.ports.get_mut(usize::from(offset / 8)).ok_or(unlisted)?;
+                let port = self.network.ports.get_mut(usize::from(offset / 8)).ok_or(UNLISTED)?;
                 port.set_register(offset % 8, value)
-            }
-            0x0040 => {
-                self.limits.quarantine_after = byte(value)?;
-                Ok(())
-            }
-            0x0041 => {
-                self.limits.probe_period_ms = at_least_1(value)?;
-                Ok(())
-            }
-            0x0042 => {
-                self.limits.host_silence_ms = value;
-                Ok(())
-            }
-            0x0043 => {
-                self.limits.burst_silence_100us = at_least_1(value)?;
-                Ok(())
-            }
-            0x0050..=0x005F => {
-                let offset = address.wrapping_sub(0x0050);
-                let (unit, period) = self.slots.get_mut(usize::from(offset / 2)).ok_or(unlisted)?;
-                match offset % 2 {
-                    0 => *unit = byte(value)?,
-                    _ => *period = value,
-                }
-                Ok(())
             }
             0x0100..=0x01FF => {
                 let offset = address.wrapping_sub(0x0100);
-                let row = self.network.routes.get_mut(usize::from(offset / 0x10)).ok_or(unlisted)?;
+                let row = self.network.routes.get_mut(usize::from(offset / 0x10)).ok_or(UNLISTED)?;
                 row.set_register(offset % 0x10, value)
             }
-            _ => Err(unlisted),
+            _ => set_plain(self.limits, self.slots, address, value),
         }
     }
+}
+
+const UNLISTED: ExceptionCode = ExceptionCode::IllegalDataAddress;
+
+/// Sets a limit or half of a slot.
+fn set_plain(
+    limits: &mut Limits,
+    slots: &mut SlotSettings,
+    address: u16,
+    value: u16,
+) -> Result<(), ExceptionCode> {
+    match address {
+        0x0040 => limits.quarantine_after = byte(value)?,
+        0x0041 => limits.probe_period_ms = at_least_1(value)?,
+        0x0042 => limits.host_silence_ms = value,
+        0x0043 => limits.burst_silence_100us = at_least_1(value)?,
+        0x0050..=0x005F => {
+            let offset = address.wrapping_sub(0x0050);
+            let (unit, period) = slots.get_mut(usize::from(offset / 2)).ok_or(UNLISTED)?;
+            match offset % 2 {
+                0 => *unit = byte(value)?,
+                _ => *period = value,
+            }
+        }
+        _ => return Err(UNLISTED),
+    }
+    Ok(())
 }
 
 fn byte(value: u16) -> Result<u8, ExceptionCode> {

@@ -83,12 +83,36 @@ impl Expected {
     }
 }
 
+/// A span of the configuration: it fits half of a [`Duration`], and there are many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub(super) struct Span(u32);
+
+impl From<Duration> for Span {
+    /// At most 71 minutes.
+    fn from(span: Duration) -> Self {
+        Self(u32::try_from(span.as_micros()).unwrap_or(u32::MAX))
+    }
+}
+
+impl Span {
+    /// In 10 us, as a register has it.
+    pub(super) fn tens(self) -> u16 {
+        u16::try_from(self.0 / 10).unwrap_or(u16::MAX)
+    }
+}
+
+impl From<Span> for Duration {
+    fn from(span: Span) -> Self {
+        Self::from_micros(span.0.into())
+    }
+}
+
 /// Who wants the answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Origin {
     Host,
     /// A polling slot.
-    Slot(usize),
+    Slot(u8),
 }
 
 /// A request for a bus, without its bytes: these stay where the [`Backlog`] keeps them.
@@ -105,11 +129,11 @@ pub(super) struct Request {
     /// Function code.
     pub(super) function: u8,
     /// Time that the bus waits for the answer, without the time on the wire.
-    pub(super) timeout: Duration,
+    pub(super) timeout: Span,
     /// Time that the device has for it: more, where a probe is not to hold up the bus.
-    pub(super) allowed: Duration,
+    pub(super) allowed: Span,
     /// How long a reply is owed after a timeout.
-    pub(super) hold_off: Duration,
+    pub(super) hold_off: Span,
     /// How often it may be sent again.
     pub(super) retries: u8,
     /// Whether what is too long goes in parts.
@@ -133,9 +157,9 @@ impl Request {
             route: route_number,
             expected,
             function,
-            timeout: route.timeout(is_read),
-            allowed: route.timeout(is_read),
-            hold_off: route.hold_off(is_read),
+            timeout: route.timeout(is_read).into(),
+            allowed: route.timeout(is_read).into(),
+            hold_off: route.hold_off(is_read).into(),
             retries: if is_read { route.read_retries } else { 0 },
             is_split: route.bus == Bus::Can,
             expires: now.after(Duration::from_millis(route.time_to_live_ms.into())),
@@ -146,14 +170,15 @@ impl Request {
     /// most, so that the other devices keep their rate.
     pub(super) fn become_probe(&mut self, limits: &Limits) {
         const AT_LEAST: Duration = Duration::from_millis(20);
-        let share = Duration::from_micros(limits.probe_period().as_micros() / 20);
-        self.timeout = self.timeout.min(share.max(AT_LEAST));
+        // a twentieth of a millisecond is 50 us
+        let share = Duration::from_micros(u64::from(limits.probe_period_ms).wrapping_mul(50));
+        self.timeout = self.timeout.min(share.max(AT_LEAST).into());
         self.retries = 0;
     }
 
     /// Time in which the answer counts, where the bus waits for less of it.
     pub(super) fn probe_window(&self) -> Option<Duration> {
-        (self.timeout < self.allowed).then_some(self.allowed)
+        (self.timeout < self.allowed).then_some(self.allowed.into())
     }
 
     pub(super) fn is_read(&self) -> bool {
@@ -230,8 +255,8 @@ pub(super) struct HostSide<'a> {
 /// How long the devices of a route took to answer.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct ReplyTime {
-    pub(super) last: Duration,
-    pub(super) largest: Duration,
+    pub(super) last: Span,
+    pub(super) largest: Span,
 }
 
 /// What a bus may touch beside itself.
@@ -252,12 +277,12 @@ impl Surroundings<'_> {
     pub(super) fn answer(&mut self, request: &Request, content: &[u8], sent: Instant, now: Instant) {
         match request.origin {
             Origin::Host => self.host.output.relay(self.host.counters, request.unit, content),
-            Origin::Slot(index) => self.polling.answered(index, content, now),
+            Origin::Slot(index) => self.polling.answered(index.into(), content, now),
         }
         self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
-            time.last = now.since(sent);
+            time.last = now.since(sent).into();
             time.largest = time.largest.max(time.last);
         }
     }
@@ -268,7 +293,7 @@ impl Surroundings<'_> {
             Origin::Host => {
                 request.fail(&mut self.host, ExceptionCode::GatewayTargetDeviceFailedToRespond);
             }
-            Origin::Slot(index) => self.polling.failed(index),
+            Origin::Slot(index) => self.polling.failed(index.into()),
         }
     }
 

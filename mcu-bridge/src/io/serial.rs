@@ -215,7 +215,6 @@ pub fn recent(now: Instant, micros: u32) -> Instant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::config::{Limits, Network};
     use crate::engine::{Identity, ResetCause};
 
     #[test]
@@ -231,7 +230,7 @@ mod tests {
     fn a_request_passes_and_its_answer_comes_back() {
         let now = Instant::from_micros(5);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
-        let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
+        let mut engine = Engine::new(identity, now);
         let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
@@ -255,7 +254,7 @@ mod tests {
     fn a_transmitter_that_takes_nothing_stands_still() {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
-        let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
+        let mut engine = Engine::new(identity, now);
         let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         assert!(main.advances(), "there is nothing to send");
@@ -280,7 +279,7 @@ mod tests {
     fn lost_bytes_are_counted() {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
-        let mut engine = Engine::new(Network::default(), Limits::default(), identity, now);
+        let mut engine = Engine::new(identity, now);
         let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         for _ in 0..INCOMING + 1 {

@@ -100,3 +100,41 @@ fn a_frame_that_is_acknowledged_while_it_is_given_up_holds_nothing_up() {
         assert_eq!(world.nst(1, &READ, SOON), axes(1), "the bus is usable again");
     }
 }
+
+#[test]
+fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Can];
+    // parts of 126 and 24 bytes; the first one is asked for twice
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
+    // the first part of the next one has the same length, and waits until three times the timeout have passed
+    let sent = world.engine.counters(Port::Can).sent;
+    assert_eq!(world.nst(1, &[0x03, 0, 0, 200], Duration::from_millis(50)), []);
+    assert_eq!(world.engine.counters(Port::Can).sent, sent);
+    world.pass(Duration::from_millis(45));
+    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
+}
+
+#[test]
+fn a_write_whose_later_part_fails_is_silent_and_counted() {
+    let mut world = World::new();
+    let data = [7; 200];
+    let request = [&[0x10, 0, 0, 200][..], &data].concat();
+    world.engine.receive(Port::Host, &modbus(1, &request), world.now);
+    let mut frames = 0;
+    while world.engine.next_frame().is_some() {
+        world.engine.frame_sent(world.now);
+        frames += 1;
+    }
+    assert_eq!(frames, 16, "the first part fills a transfer");
+    // its acknowledgement
+    for frame in jointbus_protocol::nst::can::segment(1, 127, &[0x10, 124]).unwrap() {
+        world.engine.receive_frame(&frame, world.now);
+    }
+    assert!(world.engine.next_frame().is_some(), "the second part follows");
+    world.engine.frame_sent(world.now);
+    world.unplugged = vec![Port::Can];
+    assert_eq!(world.exchange(&[], LATER), []);
+    let counters = world.engine.counters(Port::Can);
+    assert_eq!((counters.timeouts, counters.retries, counters.expired), (1, 0, 0));
+}

@@ -143,3 +143,36 @@ fn unknown_units_and_broken_frames_end_with_silence() {
     assert_eq!(world.exchange(&modbus(16, &[0x04, 0, 0, 1]), SOON), [], "no function code of NST");
     assert!(world.sent.iter().all(|(_, port, _)| *port == Port::Rs485B));
 }
+
+#[test]
+fn an_unknown_function_code_counts_as_a_write() {
+    let mut world = World::new();
+    world.unplugged = vec![Port::Rs485B];
+    assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], LATER), [0xC1, 0x0B]);
+    assert_eq!(world.sent.len(), 1, "it is not retried");
+    for request in [[6, 1, 0x3A, 0, 1], [6, 0, 0, 0xA9, 0x91]] {
+        assert_eq!(world.modbus(247, &request, SOON), request);
+    }
+    assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], LATER), [0xC1, 1], "and refused where writes are");
+}
+
+#[test]
+fn requests_to_a_bus_are_forwarded_unjudged() {
+    let mut world = World::new();
+    for pdu in [
+        &[4, 0, 0x40, 0, 0][..],
+        &[3, 0xFF, 0xFF, 0xFF, 0xFF],
+        &[5, 2, 0, 0x12, 0x34],
+        &[8, 0, 0, 0xA5, 0x37],
+        &[16, 0, 0x60, 0, 9, 2, 1, 2],
+    ] {
+        let answer = world.modbus(32, pdu, SOON);
+        assert_eq!(answer[0], pdu[0] | 0x80, "the station judges {pdu:02x?}");
+        assert_eq!(world.sent.last().unwrap().2, modbus(1, pdu));
+    }
+    assert_eq!(world.sent.len(), 5);
+    // no NST register has these addresses, and the sensor says so with silence
+    let nowhere = [0x03, 0xFF, 0x00, 0x02];
+    assert_eq!(world.nst(16, &nowhere, SOON), []);
+    assert_eq!(world.sent.last().unwrap().2, modbus(1, &nowhere));
+}

@@ -134,20 +134,6 @@ fn a_reply_half_received_when_a_hold_off_ends_is_not_lost() {
 }
 
 #[test]
-fn a_late_reply_to_a_part_is_given_to_no_other_split_request() {
-    let mut world = World::new();
-    world.unplugged = vec![Port::Can];
-    // parts of 126 and 24 bytes; the first one is asked for twice
-    assert_eq!(world.nst(1, &[0x03, 0, 0, 150], Duration::from_millis(120)), []);
-    // the first part of the next one has the same length, and waits until three times the timeout have passed
-    let sent = world.engine.counters(Port::Can).sent;
-    assert_eq!(world.nst(1, &[0x03, 0, 0, 200], Duration::from_millis(50)), []);
-    assert_eq!(world.engine.counters(Port::Can).sent, sent);
-    world.pass(Duration::from_millis(45));
-    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
-}
-
-#[test]
 fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     // on the serial line, which babbles until the time to live has passed
     let mut world = World::new();
@@ -254,6 +240,44 @@ fn a_request_that_finds_no_silence_is_never_sent_late() {
 }
 
 #[test]
+fn a_full_queue_of_nst_is_silent_and_counted() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    let requests: Vec<u8> = (0..7).flat_map(|index| modbus(16, &[3, 2, 0, 1 + index])).collect();
+    world.engine.receive(Port::Host, &requests, world.now);
+    assert_eq!(world.engine.output(Port::Host), []);
+    assert_eq!(world.engine.counters(Port::Host).refused, 2, "one in flight, four wait");
+}
+
+#[test]
+fn what_expired_does_not_count_towards_quarantine() {
+    let mut world = World::new();
+    world.acknowledge = false;
+    for _ in 0..5 {
+        assert_eq!(world.nst(1, &READ, Duration::from_millis(150)), []);
+    }
+    assert_eq!(world.engine.counters(Port::Can).expired, 5);
+    assert_eq!(world.modbus(247, &[4, 2, 0, 0, 1], SOON), [4, 2, 0, 0]);
+    world.acknowledge = true;
+    assert_eq!(world.nst(1, &READ, SOON), axes(1), "the device was never to blame");
+}
+
+#[test]
+fn the_silence_that_ends_a_burst_can_be_set() {
+    let mut world = World::new();
+    let frame = modbus(32, &[4, 0, 0x40, 0, 1]);
+    let (first, rest) = frame.split_at(3);
+    // 20 ms at first: a pause of 15 ms is inside the frame
+    world.exchange(first, Duration::from_millis(15));
+    assert_eq!(world.exchange(rest, SOON), modbus(32, &[4, 2, 0, 0]));
+    assert_eq!(world.modbus(247, &[6, 0, 0x43, 0, 100], SOON), [6, 0, 0x43, 0, 100]);
+    world.exchange(first, Duration::from_millis(15));
+    assert_eq!(world.exchange(rest, SOON), []);
+    let counters = world.engine.counters(Port::Host);
+    assert_eq!((counters.dropped_bursts, counters.refused), (1, 1), "the second half starts like unit 64");
+}
+
+#[test]
 fn a_slow_host_link_loses_no_reply() {
     let mut world = World::new();
     // nobody fetches replies: requests are held back before room runs out
@@ -270,4 +294,19 @@ fn a_slow_host_link_loses_no_reply() {
     }
     assert_eq!(full + busy, 40, "{length} bytes");
     assert_eq!(world.engine.counters(Port::Host).refused, busy);
+}
+
+#[test]
+fn each_attempt_owes_a_reply_of_its_own() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(120)), []);
+    let late = world.held_back.take().unwrap();
+    assert_eq!(world.nst(16, &READ, Duration::from_millis(5)), []);
+    for (port, reply) in &late {
+        assert_eq!(world.sent.len(), 2, "a reply may still come");
+        world.engine.receive(*port, reply, world.now);
+        world.pass(Duration::from_millis(5));
+    }
+    assert_eq!((late.len(), world.sent.len()), (2, 3));
 }

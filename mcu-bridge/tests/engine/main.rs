@@ -3,6 +3,7 @@
 mod ascii;
 mod bridge;
 mod can;
+mod configuration;
 mod devices;
 mod life;
 mod world;

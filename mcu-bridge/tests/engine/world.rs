@@ -1,6 +1,6 @@
 //! An engine with devices on its buses, in virtual time: every call advances to the engine's next deadline.
 
-use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::modbus::{self, ascii, rtu};
@@ -45,7 +45,7 @@ impl World {
         let start = Instant::from_micros(1_000_000);
         let identity = Identity { version: [1, 2, 3], reset_cause: ResetCause::PowerOn };
         Self {
-            engine: Engine::new(Network::default(), Limits::default(), identity, start),
+            engine: Engine::new(identity, start),
             now: start,
             can_daq: daq(1),
             serial_daq: daq(2),

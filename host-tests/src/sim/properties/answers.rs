@@ -1,8 +1,8 @@
 //! Who gets which answer, and what reaches the devices.
 
 use super::{Found, REQUESTS, of_seeds};
-use crate::sim::master::Tally;
 use crate::sim::run::Plan;
+use crate::sim::tally::Tally;
 use std::ops::Range;
 
 /// Under all faults and reply times: no answer reaches the host that is not to its question; every request is answered

@@ -46,7 +46,7 @@ pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
     let mut course = Course::new(plan(seed, traffic), &mut queues);
     let mut found = Found::default();
     if !course.begin() {
-        found.violation(format!("seed {seed}: the slot was not set"));
+        found.violation(format!("cargo xtask soak --seed {seed}: the slot was not set"));
         return found;
     }
     let end = course.run.world.now().after(span);
@@ -59,13 +59,16 @@ pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
     let tally = &course.run.master.tally;
     let quiet = slot.missed == 0 && slot.failures == 0;
     if traffic == Traffic::Calm && !quiet {
-        found.violation(format!("seed {seed}: {} missed, {} failed", slot.missed, slot.failures));
+        found.violation(format!(
+            "cargo xtask soak --seed {seed}: {} missed, {} failed",
+            slot.missed, slot.failures
+        ));
     }
     if traffic == Traffic::Rough && (quiet || slot.sequence == 0) {
-        found.violation(format!("seed {seed}: nothing failed"));
+        found.violation(format!("cargo xtask soak --seed {seed}: nothing failed"));
     }
     if let Some(first) = tally.violations.first() {
-        found.violation(format!("seed {seed}: {first}"));
+        found.violation(format!("cargo xtask soak --seed {seed}: {first}"));
     }
     found.count("periods", course.periods());
     found.count("samples", slot.sequence.into());
@@ -177,21 +180,27 @@ impl<'q> Course<'q> {
             return;
         }
         if slot.sequence != self.sequence + 1 {
-            found.violation(format!("sample {} follows {}", slot.sequence, self.sequence));
+            found.violation(format!("cargo xtask soak: sample {} follows {}", slot.sequence, self.sequence));
         }
         self.sequence = slot.sequence;
         self.compared += 1;
         let stamp = Moment::of(slot.stamp);
         match spelt_moment(&slot.sample).map(Moment::of) {
-            None => found.violation(format!("sample {} is torn", slot.sequence)),
+            None => found.violation(format!("cargo xtask soak: sample {} is torn", slot.sequence)),
             Some(measured) if measured > stamp => {
-                found.violation(format!("sample {} is stamped before it was measured", slot.sequence));
+                found.violation(format!(
+                    "cargo xtask soak: sample {} is stamped before it was measured",
+                    slot.sequence
+                ));
             }
             Some(_) => {}
         }
         let near = |end: &&Moment| stamp.since(**end) <= STAMP && end.since(stamp) <= STAMP;
         if self.ends.iter().rev().find(near).is_none() {
-            found.violation(format!("the stamp of sample {} is no frame's end", slot.sequence));
+            found.violation(format!(
+                "cargo xtask soak: the stamp of sample {} is no frame's end",
+                slot.sequence
+            ));
         }
     }
 
@@ -215,7 +224,9 @@ impl<'q> Course<'q> {
             }
             told = format!("{slot:?} after {} periods", self.periods());
         }
-        found.violation(format!("some period is neither sampled nor counted, or twice: {told}"));
+        found.violation(format!(
+            "cargo xtask soak: some period is neither sampled nor counted, or twice: {told}"
+        ));
     }
 }
 

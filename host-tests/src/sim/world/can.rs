@@ -110,11 +110,13 @@ impl World<'_> {
     }
 
     pub(super) fn power_nodes(&mut self) {
+        // devices give up what they could not send meanwhile; nobody could tell it from the next reply
+        let released = self.can_released.take_if(|end| self.now >= *end).is_some();
         let mut anybody = false;
         for (node, controller) in self.nodes.iter().zip(self.can.controllers.iter_mut().skip(1)) {
             controller.powered = self.now >= node.absent;
             anybody |= controller.powered;
-            if !controller.powered {
+            if !controller.powered || released {
                 controller.outbox.clear();
             }
         }

@@ -202,6 +202,8 @@ impl World<'_> {
         if let Some(victim) = self.can.hold_dominant(self.now, end) {
             self.failed_frame(victim);
         }
+        self.can_released = Some(end);
+        self.can_looks_again(end);
         // the bus is looked at again when it is idle
         self.can_looks_again(end.after(20 * MICROS));
     }

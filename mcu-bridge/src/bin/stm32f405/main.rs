@@ -258,7 +258,7 @@ mod app {
         ]
         .map(|part| part.parse().unwrap_or(0));
         let identity = Identity { version, reset_cause };
-        let engine = place.write(Engine::new(settings.network, settings.limits, identity, now));
+        let engine = place.write(Engine::new(identity, now));
         engine.restore(settings, now);
         engine
     }

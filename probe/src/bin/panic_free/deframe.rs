@@ -67,13 +67,14 @@ fn burst<const N: usize>() {
 
 #[inline(never)]
 fn search<const N: usize, const L: usize>() {
-    let mut search = ReplySearch::<N, L>::default();
+    let mut search = if flag() { ReplySearch::<N, L>::default() } else { ReplySearch::new() };
     while flag() {
         let mut some = bytes();
         match any(0) {
             0 => sink(search.feed(&Anything, &mut some)),
             1 => sink(search.at_silence(|_| flag())),
             2 => sink(search.has_leftovers()),
+            3 => search.start_over(),
             _ => search.clear(),
         }
         sink(some);
