@@ -94,7 +94,7 @@ impl Libmodbus {
 }
 
 /// Asks it all requests; whether all answers were right.
-pub(crate) fn serve(name: &str) -> bool {
+pub(crate) fn ask(name: &str) -> bool {
     let mut server = Libmodbus::new();
     let Requests { first, timed, longest } = &REQUESTS[Kind::Server as usize];
     let (mut frame, mut out) = ([0; FRAME_MAX], [0; FRAME_MAX]);
