@@ -130,9 +130,12 @@ static STEPS: &[Step] = &[
     Step {
         name: "bench",
         about: "nothing is larger or slower than it may be",
-        prepare: bench::prepare,
+        prepare: |workspace| {
+            setup::components(workspace)?;
+            bench::prepare(workspace)
+        },
         run: |workspace| {
-            bench::clippy(workspace)?;
+            bench::lint(workspace)?;
             bench::check(workspace)
         },
     },

@@ -14,8 +14,7 @@ impl<const COUNT: usize> Subject for Routes<COUNT> {
     const KIND: Kind = Kind::Routes;
 
     fn new() -> Self {
-        let mut network = Network::default();
-        network.routes = [Route::UNUSED; ROUTES];
+        let mut network = Network { routes: [Route::UNUSED; ROUTES], ..Network::default() };
         let units = (1..=UNIT).rev().take(COUNT).rev();
         for (row, unit) in network.routes.iter_mut().zip(units) {
             *row = Route { first_unit: unit, last_unit: unit, bus: Bus::Bridge, ..Route::UNUSED };

@@ -110,7 +110,7 @@ impl Verdict {
             Bound::Grows(most) => ((*what).to_owned(), format!("at most {most}")),
         };
         let figure = (self.figure * 1000.0).round() / 1000.0;
-        let verdict = if self.holds() { "holds" } else { "**passed**" };
+        let verdict = if self.holds() { "holds" } else { "**not held**" };
         [format!("{place}: {subject}"), what, figure.to_string(), bound, verdict.to_owned()]
     }
 }

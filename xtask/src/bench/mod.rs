@@ -11,8 +11,10 @@ pub(crate) mod m4;
 mod plot;
 mod report;
 
+use std::env;
 use std::fs;
 use std::path::PathBuf;
+use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -30,7 +32,7 @@ const PAGE: &str = "BENCHMARKS.md";
 /// What to do with the figures.
 #[derive(Args)]
 pub(crate) struct Manner {
-    /// Measure what has a limit only, and fail where one is passed
+    /// Measure what has a limit only, and fail where one is not held
     #[arg(long)]
     check: bool,
     /// Put the tables into BENCHMARKS.md
@@ -46,7 +48,7 @@ pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
     }
     setup::libmodbus()?;
     let figures = measure(workspace, true)?;
-    let tables = report::tables(&figures)?;
+    let tables = format!("{}\n{}", conditions(workspace)?, report::tables(&figures)?);
     let verdicts = limits::verdicts(&figures)?;
     println!("{tables}\n{}", limits::table(&verdicts));
     let folder = workspace.target.join("bench");
@@ -76,20 +78,21 @@ pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
     setup::valgrind()
 }
 
-/// Measures what has a limit, and fails where one is passed.
+/// Measures what has a limit, and fails where one is not held.
 pub(crate) fn check(workspace: &Workspace) -> Result<()> {
     let verdicts = limits::verdicts(&measure(workspace, false)?)?;
     println!("\n{}", limits::table(&verdicts));
-    let passed: Vec<String> = verdicts.iter().filter(|one| !one.holds()).map(ToString::to_string).collect();
-    if !passed.is_empty() {
-        bail!("{} of {} limits are not held:\n  {}", passed.len(), verdicts.len(), passed.join("\n  "));
+    let broken: Vec<String> = verdicts.iter().filter(|one| !one.holds()).map(ToString::to_string).collect();
+    if !broken.is_empty() {
+        bail!("{} of {} limits are not held:\n  {}", broken.len(), verdicts.len(), broken.join("\n  "));
     }
     Ok(())
 }
 
-/// The linter over the benchmark's workspace, the servers of others left out.
-pub(crate) fn clippy(workspace: &Workspace) -> Result<()> {
-    let lint = |mut command: std::process::Command, packages: &[&str]| {
+/// The formatter and the linter over the benchmark's workspace, the servers of others left out.
+pub(crate) fn lint(workspace: &Workspace) -> Result<()> {
+    run::shown(workspace.cargo().args(["fmt", "--all", "--manifest-path", MANIFEST, "--", "--check"]))?;
+    let clippy = |mut command: Command, packages: &[&str]| {
         command.args(["--quiet", "--manifest-path", MANIFEST, "--target-dir"]).arg(builds(workspace));
         for package in packages {
             command.args(["--package", package]);
@@ -98,9 +101,9 @@ pub(crate) fn clippy(workspace: &Workspace) -> Result<()> {
     };
     let mut command = workspace.cargo();
     command.arg("clippy");
-    lint(command, &["jointbus-bench-host", "jointbus-bench-bridge", "jointbus-bench-recorder"])?;
+    clippy(command, &["jointbus-bench-host", "jointbus-bench-bridge", "jointbus-bench-recorder"])?;
     let command = setup::toolchain(workspace)?.cargo(workspace, "clippy");
-    lint(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])
+    clippy(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])
 }
 
 fn measure(workspace: &Workspace, others: bool) -> Result<Figures> {
@@ -109,6 +112,18 @@ fn measure(workspace: &Workspace, others: bool) -> Result<Figures> {
     host::measure(workspace, others, &mut figures)?;
     bridge::measure(workspace, &mut figures)?;
     Ok(figures)
+}
+
+/// What the figures change with.
+fn conditions(workspace: &Workspace) -> Result<String> {
+    let compiler = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let version = |mut command: Command| -> Result<String> {
+        let printed = run::output(command.arg("--version"))?;
+        Ok(printed.lines().next().unwrap_or_default().to_owned())
+    };
+    let versions = [workspace.command(compiler), Command::new("qemu-system-arm"), Command::new("valgrind")];
+    let versions = versions.into_iter().map(version).collect::<Result<Vec<_>>>()?;
+    Ok(format!("Taken with {}.\n", versions.join(", ")))
 }
 
 /// Where the benchmark's workspace is built.

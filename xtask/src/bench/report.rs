@@ -112,7 +112,7 @@ fn servers(figures: &Figures, place: &str, ours: &str) -> Result<String> {
             if is_ours || base == 0.0 {
                 text.push_str(&format!(" {figure} |"));
             } else {
-                text.push_str(&format!(" {figure} ({:.1}x) |", figure / base));
+                text.push_str(&format!(" {figure} ({:.2}x) |", figure / base));
             }
         }
         text.push('\n');

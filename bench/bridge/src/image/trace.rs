@@ -120,7 +120,7 @@ impl Trace {
                 self.total += 1;
                 self.turn.0 += 1;
                 if self.code.is_sleep(address) {
-                    let (instructions, disturbed) = std::mem::replace(&mut self.turn, (0, false));
+                    let (instructions, disturbed) = std::mem::take(&mut self.turn);
                     if !disturbed {
                         self.counts.idle_turn.push(instructions);
                     }
