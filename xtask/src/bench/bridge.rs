@@ -39,7 +39,7 @@ pub(crate) fn measure(workspace: &Workspace, figures: &mut Figures) -> Result<()
     let recorder = folder.join(format!("{DLL_PREFIX}{}{DLL_SUFFIX}", RECORDER.replace('-', "_")));
     let mut command = workspace.command(folder.join("image"));
     figures.read(IMAGE, &run::output(command.arg(&image.elf).arg(plugin).arg(recorder))?)?;
-    let instructions = figures.get(IMAGE, SUBJECT, "reply from CAN to host")?;
+    let instructions = figures.get(IMAGE, SUBJECT, "reply from CAN to host, worst")?;
     // the main loop takes as long in the simulation
     let latency = instructions * CYCLES / CLOCK;
     figures.set(WIRE, SUBJECT, "main loop, us", latency);

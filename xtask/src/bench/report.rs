@@ -47,10 +47,10 @@ const BRIDGE: [(&str, &str, &str); 16] = [
     (bridge::IMAGE, "received byte, USART2", "the same of an RS485 port"),
     (
         bridge::IMAGE,
-        "reply from CAN to host",
+        "reply from CAN to host, worst",
         "instructions from a reply's last frame to its first byte to the host",
     ),
-    (bridge::IMAGE, "reply from RS485 to host", "the same from a reply's last byte on RS485"),
+    (bridge::IMAGE, "reply from RS485 to host, worst", "the same from a reply's last byte on RS485"),
     (bridge::IMAGE, "idle turn", "instructions of an idle turn of the main loop"),
     (bridge::IMAGE, "idle turn, worst", "the same, the longest that was seen"),
     (bridge::WIRE, "main loop, us", "time of the main loop in the simulation, us"),

@@ -20,7 +20,7 @@ use crate::code::Code;
 use crate::trace::{Counts, Trace};
 
 /// Reads of each sensor.
-const READS: usize = 20;
+const READS: usize = 40;
 
 /// What the figures are of.
 const SUBJECT: &str = "bridge";
@@ -43,7 +43,7 @@ fn main() -> Result<()> {
     show("idle turn", &counts.idle_turn)
 }
 
-/// Prints the median, which does not depend on when a tick comes between, and the most.
+/// Prints the median and the most.
 fn show(what: &str, counts: &[u64]) -> Result<()> {
     let mut counts = counts.to_vec();
     counts.sort_unstable();
