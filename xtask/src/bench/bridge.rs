@@ -1,6 +1,8 @@
 //! The bridge's image: what it takes, its instructions on the emulator, and what they make of its delays in virtual time.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::path::PathBuf;
+use std::process::Command;
 
 use anyhow::Result;
 
@@ -30,19 +32,35 @@ pub(crate) fn measure(workspace: &Workspace, figures: &mut Figures) -> Result<()
     figures.set(IMAGE, SUBJECT, "flash", f64::from(image.usage.flash));
     figures.set(IMAGE, SUBJECT, "static RAM", f64::from(image.usage.static_ram));
     figures.set(IMAGE, SUBJECT, "worst stack", f64::from(image.worst.bytes));
+    figures.read(IMAGE, &run::output(&mut recorded(workspace, &image)?)?)?;
+    let instructions = figures.get(IMAGE, SUBJECT, "reply from CAN to host, worst")?;
+    // the main loop takes as long in the simulation
+    let latency = instructions * CYCLES / CLOCK;
+    figures.set(WIRE, SUBJECT, "main loop, us", latency);
+    let mut command = workspace.command(programs(workspace).join("wire"));
+    figures.read(WIRE, &run::output(command.arg(format!("{:.0}", latency * 1000.0)))?)
+}
+
+/// Shows which lines of source the image's instructions are from.
+pub(crate) fn profile(workspace: &Workspace) -> Result<()> {
+    let image = firmware::build(workspace)?;
+    run::shown(recorded(workspace, &image)?.arg("profile"))
+}
+
+/// The program that runs the image on the emulator with the recorder.
+fn recorded(workspace: &Workspace, image: &firmware::Image) -> Result<Command> {
     let plugin = emulate::build_plugin(workspace)?;
     let mut command = workspace.cargo();
     command.args(["build", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"]);
     command.arg(builds(workspace)).args(["--package", PACKAGE, "--package", RECORDER]);
     run::shown(&mut command)?;
-    let folder = builds(workspace).join("release");
+    let folder = programs(workspace);
     let recorder = folder.join(format!("{DLL_PREFIX}{}{DLL_SUFFIX}", RECORDER.replace('-', "_")));
     let mut command = workspace.command(folder.join("image"));
-    figures.read(IMAGE, &run::output(command.arg(&image.elf).arg(plugin).arg(recorder))?)?;
-    let instructions = figures.get(IMAGE, SUBJECT, "reply from CAN to host, worst")?;
-    // the main loop takes as long in the simulation
-    let latency = instructions * CYCLES / CLOCK;
-    figures.set(WIRE, SUBJECT, "main loop, us", latency);
-    let mut command = workspace.command(folder.join("wire"));
-    figures.read(WIRE, &run::output(command.arg(format!("{:.0}", latency * 1000.0)))?)
+    command.arg(&image.elf).arg(plugin).arg(recorder);
+    Ok(command)
+}
+
+fn programs(workspace: &Workspace) -> PathBuf {
+    builds(workspace).join("release")
 }

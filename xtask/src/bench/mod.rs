@@ -38,6 +38,9 @@ pub(crate) struct Manner {
     /// Put the tables into BENCHMARKS.md
     #[arg(long, conflicts_with = "check")]
     write: bool,
+    /// Show which lines of source the instructions of the bridge's image are from instead
+    #[arg(long, conflicts_with_all = ["check", "write"])]
+    profile: bool,
 }
 
 /// Measures.
@@ -45,6 +48,9 @@ pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
     prepare(workspace)?;
     if manner.check {
         return check(workspace);
+    }
+    if manner.profile {
+        return bridge::profile(workspace);
     }
     setup::libmodbus()?;
     let figures = measure(workspace, true)?;

@@ -1,8 +1,10 @@
 //! The image on the emulator: how many instructions the bridge takes for what. The recorder tells of each of them.
 //!
-//! Arguments: image, emulator plugin, recorder. It prints a line for each figure: subject, what, number, with tabs.
+//! Arguments: image, emulator plugin, recorder. It prints a line for each figure: subject, what, number, with tabs. With
+//! `profile` behind the arguments it prints the lines of source that take most of them instead.
 
 mod code;
+mod profile;
 mod trace;
 
 use std::env;
@@ -27,10 +29,13 @@ const SUBJECT: &str = "bridge";
 
 fn main() -> Result<()> {
     let paths: Vec<PathBuf> = env::args_os().skip(1).map(PathBuf::from).collect();
-    let [image, plugin, recorder] = paths.as_slice() else {
+    let [image, plugin, recorder, more @ ..] = paths.as_slice() else {
         return Err(anyhow!("arguments: image, emulator plugin, recorder"));
     };
     let counts = record(image, plugin, recorder)?;
+    if more.iter().any(|word| word.as_os_str() == "profile") {
+        return profile::show(image, &counts.profiles);
+    }
     for port in ["USART1", "USART2"] {
         let received = counts.received_byte.get(port).with_context(|| format!("{port} took no byte"))?;
         show(&format!("received byte, {port}"), received)?;

@@ -8,6 +8,9 @@ use crate::code::{Code, Kind};
 /// The interrupt that only counts time: it may come at any moment, and what it takes is not counted.
 const TICK: &str = "SysTick";
 
+/// How the names of the serial ports' interrupts begin.
+const SERIAL: &str = "USART";
+
 /// The interrupts that a reply of a device may end with.
 const REPLIES: [&str; 2] = ["CAN1_RX0", "USART2"];
 
@@ -38,6 +41,44 @@ pub(crate) struct Counts {
     pub(crate) reply: BTreeMap<String, Vec<u64>>,
     /// Of the main loop from sleep to sleep with nothing but a tick between.
     pub(crate) idle_turn: Vec<u64>,
+    /// Of the same.
+    pub(crate) profiles: Profiles,
+}
+
+/// Where the instructions are.
+#[derive(Debug, Default)]
+pub(crate) struct Profiles {
+    pub(crate) received_byte: Profile,
+    pub(crate) reply: Profile,
+    pub(crate) idle_turn: Profile,
+}
+
+/// How often each instruction was executed in something that happened many times.
+#[derive(Debug, Default)]
+pub(crate) struct Profile {
+    under_way: Vec<u32>,
+    sum: BTreeMap<u32, u64>,
+    times: u64,
+}
+
+impl Profile {
+    /// Each address, and how often it was executed at a time.
+    pub(crate) fn shares(&self) -> impl Iterator<Item = (u32, f64)> + '_ {
+        self.sum.iter().map(|(address, count)| (*address, *count as f64 / self.times as f64))
+    }
+
+    /// What was under way is none of it.
+    fn start(&mut self) {
+        self.under_way.clear();
+    }
+
+    /// What was under way is done.
+    fn end(&mut self) {
+        self.times += 1;
+        for address in self.under_way.drain(..) {
+            *self.sum.entry(address).or_default() += 1;
+        }
+    }
 }
 
 /// Follows the processor.
@@ -103,6 +144,7 @@ impl Trace {
             && let Some((interrupt, start)) = self.reply.take()
         {
             self.counts.reply.entry(interrupt).or_default().push(self.total - start);
+            self.counts.profiles.reply.end();
         }
     }
 
@@ -111,17 +153,29 @@ impl Trace {
         if let Some(interrupt) = self.code.handler(address).map(str::to_owned) {
             self.enter(interrupt);
         }
+        let Profiles { received_byte, reply, idle_turn } = &mut self.counts.profiles;
         match self.activations.last_mut() {
             Some(activation) => {
                 activation.instructions += 1;
-                self.total += u64::from(activation.interrupt != TICK);
+                if activation.interrupt.starts_with(SERIAL) {
+                    received_byte.under_way.push(address);
+                }
+                if activation.interrupt != TICK {
+                    self.total += 1;
+                    reply.under_way.extend(self.reply.is_some().then_some(address));
+                }
             }
             None => {
                 self.total += 1;
                 self.turn.0 += 1;
+                idle_turn.under_way.push(address);
+                reply.under_way.extend(self.reply.is_some().then_some(address));
                 if self.code.is_sleep(address) {
                     let (instructions, disturbed) = std::mem::take(&mut self.turn);
-                    if !disturbed {
+                    if disturbed {
+                        idle_turn.start();
+                    } else {
+                        idle_turn.end();
                         self.counts.idle_turn.push(instructions);
                     }
                 }
@@ -131,7 +185,11 @@ impl Trace {
 
     fn enter(&mut self, interrupt: String) {
         self.turn.1 |= interrupt != TICK;
+        if interrupt.starts_with(SERIAL) {
+            self.counts.profiles.received_byte.start();
+        }
         if REPLIES.contains(&interrupt.as_str()) {
+            self.counts.profiles.reply.start();
             let found_asleep = self.activations.is_empty() && self.turn.0 <= WAKING;
             self.reply = found_asleep.then(|| (interrupt.clone(), self.total - self.turn.0));
         }
@@ -157,9 +215,10 @@ impl Trace {
     /// The interrupt has been served.
     fn end(&mut self) {
         if let Some(done) = self.activations.pop()
-            && done.interrupt.starts_with("USART")
+            && done.interrupt.starts_with(SERIAL)
             && (done.reads, done.writes) == (1, 0)
         {
+            self.counts.profiles.received_byte.end();
             self.counts.received_byte.entry(done.interrupt).or_default().push(done.instructions);
         }
     }
