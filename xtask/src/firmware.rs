@@ -43,7 +43,8 @@ pub(crate) struct Image {
     pub(crate) bin: PathBuf,
     /// Intel HEX.
     pub(crate) hex: PathBuf,
-    usage: Usage,
+    /// What it takes.
+    pub(crate) usage: Usage,
     /// The deepest that the stack can get.
     pub(crate) worst: Worst,
 }

@@ -4,6 +4,7 @@
 //! install. This file holds the command line only.
 
 mod agreement;
+mod bench;
 mod contributors;
 mod demo;
 mod emulate;
@@ -51,6 +52,8 @@ enum Task {
     },
     /// Show the flash, static RAM and worst-case stack of the image, and what each server and dispatcher takes
     Size,
+    /// Measure everything and show it beside what others have; it also leaves a report with plots in the build directory
+    Bench(bench::Manner),
     /// Feed the protocol stack and the bridge's engine with hostile input, for as long as you like
     Fuzz(fuzz::Budget),
     /// Repeat a simulated run in virtual time, by its seed
@@ -86,6 +89,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Emulate(ports) => emulate::emulate(&workspace, &ports),
         Task::Demo { seconds } => demo::demo(&workspace, seconds),
         Task::Size => size::size(&workspace),
+        Task::Bench(manner) => bench::bench(&workspace, &manner),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),
         Task::Sim(what) => sim::repeat(&workspace, &what),
         Task::Soak(how) => sim::soak(&workspace, &how),

@@ -1,4 +1,4 @@
-//! The images of `probe/`: they link only while nothing in the protocol crate can panic.
+//! The image of `probe/`: it links only while nothing in the protocol crate can panic.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -16,8 +16,8 @@ use crate::setup::{self, TARGET, Toolchain};
 use crate::workspace::Workspace;
 
 /// The package, and the feature without which it is empty.
-pub(crate) const PACKAGE: &str = "jointbus-probe";
-pub(crate) const FEATURE: &str = "target";
+const PACKAGE: &str = "jointbus-probe";
+const FEATURE: &str = "target";
 
 /// The image that must link, the feature with which it must not, and the symbol that is missing then.
 const IMAGE: &str = "panic-free";

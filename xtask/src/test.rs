@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{agreement, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
+use crate::{agreement, bench, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 pub(crate) const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -125,6 +125,18 @@ static STEPS: &[Step] = &[
         run: |workspace| {
             agreement::clippy(workspace)?;
             agreement::briefly(workspace)
+        },
+    },
+    Step {
+        name: "bench",
+        about: "nothing is larger or slower than it may be",
+        prepare: |workspace| {
+            setup::components(workspace)?;
+            bench::prepare(workspace)
+        },
+        run: |workspace| {
+            bench::lint(workspace)?;
+            bench::check(workspace)
         },
     },
     Step {

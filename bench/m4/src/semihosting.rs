@@ -15,14 +15,14 @@ fn call(operation: usize, argument: usize) {
 }
 
 /// Prints a name and a number of eight hexadecimal digits on a line.
-pub fn print(name: &[u8], number: u32) {
-    let mut line = [0; 32];
+pub fn print(name: &str, number: u32) {
+    let mut line = [0; 48];
     let digits = (0..8).rev().map(|place| match (number >> (4 * place) & 0xF) as u8 {
         digit @ 0..=9 => b'0' + digit,
         digit => b'a' + digit - 10,
     });
-    let text = name.iter().copied().chain(digits).chain([b'\n']);
-    line.iter_mut().take(31).zip(text).for_each(|(place, character)| *place = character);
+    let text = name.bytes().chain([b' ']).chain(digits).chain([b'\n']);
+    line.iter_mut().take(47).zip(text).for_each(|(place, character)| *place = character);
     call(SYS_WRITE0, line.as_ptr() as usize);
 }
 

@@ -6,13 +6,13 @@ use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
 use jointbus_protocol::nst::{Daq, RamHardware, SignEncoding};
 use jointbus_protocol::nxi6201::{Card, Hardware, Settings};
 
-use crate::{FRAME_MAX, Request, Subject};
+use crate::{FRAME_MAX, Kind, Subject};
 
 /// An NST sensor on a serial line.
 pub struct Nst(Daq<RamHardware>);
 
 impl Subject for Nst {
-    const REQUESTS: &'static [Request] = &[Request::new("read of six axes", &[1, 0x03, 0x02, 0x00, 0x12])];
+    const KIND: Kind = Kind::Nst;
 
     fn new() -> Self {
         Self(Daq::new(RamHardware::new(1), SignEncoding::TwosComplement))
@@ -39,8 +39,7 @@ impl Hardware for Outputs {
 pub struct Nxi(Card<Outputs>);
 
 impl Subject for Nxi {
-    const REQUESTS: &'static [Request] =
-        &[Request::new("write of one value", &[1, 0x10, 0, 4, 0, 2, 4, 0, 0, 0x40, 0x20])];
+    const KIND: Kind = Kind::Nxi;
 
     fn new() -> Self {
         let Ok(card) = Card::power_up(Outputs, &Settings::default());
@@ -56,7 +55,7 @@ impl Subject for Nxi {
 pub struct Ndam(Station<RamModule, 1>);
 
 impl Subject for Ndam {
-    const REQUESTS: &'static [Request] = &[Request::new("read of 8 AI", &[1, 0x04, 0, 0x40, 0, 8])];
+    const KIND: Kind = Kind::Ndam;
 
     fn new() -> Self {
         let layout = Layout { digital_inputs: 8, digital_outputs: 8, analog_inputs: 8, analog_outputs: 4 };

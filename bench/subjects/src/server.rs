@@ -6,18 +6,7 @@ use jointbus_protocol::modbus::server::{
 };
 use jointbus_protocol::modbus::{ExceptionCode, Range};
 
-use crate::{FRAME_MAX, Request, Subject};
-
-/// The four requests that every server is asked.
-pub const REQUESTS: &[Request] = &[
-    Request::new("03 x 10 registers", &[1, 0x03, 0, 0, 0, 10]),
-    Request::new(
-        "10 x 10 registers",
-        &[1, 0x10, 0, 0, 0, 10, 20, 0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 8, 0, 9, 0, 10],
-    ),
-    Request::new("01 x 16 coils", &[1, 0x01, 0, 0, 0, 16]),
-    Request { name: "wrong CRC", content: &[1, 0x03, 0, 0, 0, 10], valid: false },
-];
+use crate::{FRAME_MAX, Kind, Subject};
 
 /// Tables that answer function codes 01 to 06, 0F and 10, as the others' servers here do.
 struct Tables(RamTables<64, 64, 128, 128>);
@@ -66,7 +55,7 @@ impl Server for Tables {
 pub struct WithTable(Tables);
 
 impl Subject for WithTable {
-    const REQUESTS: &'static [Request] = REQUESTS;
+    const KIND: Kind = Kind::Server;
 
     fn new() -> Self {
         Self(Tables::new())
@@ -81,7 +70,7 @@ impl Subject for WithTable {
 pub struct WithSmallTable(Tables);
 
 impl Subject for WithSmallTable {
-    const REQUESTS: &'static [Request] = REQUESTS;
+    const KIND: Kind = Kind::Server;
 
     fn new() -> Self {
         Self(Tables::new())
@@ -96,7 +85,7 @@ impl Subject for WithSmallTable {
 pub struct WithoutTable(Tables);
 
 impl Subject for WithoutTable {
-    const REQUESTS: &'static [Request] = REQUESTS;
+    const KIND: Kind = Kind::Server;
 
     fn new() -> Self {
         Self(Tables::new())

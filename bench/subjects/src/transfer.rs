@@ -4,14 +4,13 @@ use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{Outcome, Reassembler, segment};
 use jointbus_protocol::time::{Duration, Instant};
 
-use crate::{FRAME_MAX, Request, Subject};
+use crate::{FRAME_MAX, Kind, Subject};
 
 const SENSOR: u8 = 1;
 const BRIDGE: u8 = 127;
 
-const REPLY: [u8; 20] = [0x03, 18, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18];
-
-const REQUESTS: &[Request] = &[Request::new("20 bytes in 3 frames", &REPLY)];
+/// A reply to a read of 18 bytes.
+pub(crate) const REPLY: [u8; 20] = [0x03, 18, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18];
 
 /// Three frames become a body.
 pub struct Join {
@@ -20,7 +19,7 @@ pub struct Join {
 }
 
 impl Subject for Join {
-    const REQUESTS: &'static [Request] = REQUESTS;
+    const KIND: Kind = Kind::Transfer;
 
     fn new() -> Self {
         let mut frames = [Frame::data_frame(Id::Extended(0), &[]).expect("short enough"); 3];
@@ -46,14 +45,16 @@ impl Subject for Join {
 pub struct Cut;
 
 impl Subject for Cut {
-    const REQUESTS: &'static [Request] = REQUESTS;
+    const KIND: Kind = Kind::Transfer;
 
     fn new() -> Self {
         Self
     }
 
     fn serve(&mut self, frame: &[u8], _: &mut [u8; FRAME_MAX]) -> usize {
-        let Ok(frames) = segment(SENSOR, BRIDGE, &frame[..REPLY.len()]) else { return 0 };
+        // without the CRC, which CAN does not carry
+        let body = frame.split_last_chunk::<2>().map_or(frame, |(body, _)| body);
+        let Ok(frames) = segment(SENSOR, BRIDGE, body) else { return 0 };
         let mut cut = 0;
         for frame in frames {
             cut += core::hint::black_box(&frame).data().len();

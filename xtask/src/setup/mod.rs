@@ -23,6 +23,7 @@ pub(crate) fn all(workspace: &Workspace) -> Result<()> {
     emulator()?;
     clients(workspace)?;
     libmodbus()?;
+    valgrind()?;
     nightly::fuzzer(workspace)?;
     nightly::miri(workspace)?;
     Ok(())
@@ -47,6 +48,11 @@ pub(crate) fn emulator() -> Result<()> {
 pub(crate) fn clients(workspace: &Workspace) -> Result<PathBuf> {
     tools::ensure(&[tools::MBPOLL, tools::SOCAT])?;
     python::ensure(workspace)
+}
+
+/// The program that counts instructions on the host.
+pub(crate) fn valgrind() -> Result<()> {
+    tools::ensure(&[tools::VALGRIND])
 }
 
 /// The library that the general server is compared with.

@@ -31,6 +31,10 @@ pub(crate) const MBPOLL: Tool =
 pub(crate) const SOCAT: Tool =
     Tool { program: "socat", package: "socat", elsewhere: "socat, the relay between sockets and terminals" };
 
+/// Counts the instructions of a program.
+pub(crate) const VALGRIND: Tool =
+    Tool { program: "valgrind", package: "valgrind", elsewhere: "Valgrind with callgrind" };
+
 /// Compiles the fuzzer's runtime.
 pub(crate) const CXX: Tool = Tool { program: "c++", package: "g++", elsewhere: "a C++ compiler called c++" };
 

@@ -1,0 +1,86 @@
+//! What the instructions of the image are.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::{Context, Result};
+use object::read::elf::ElfFile32;
+use object::{LittleEndian, Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
+
+/// Words of the vector table before the first handler that may return: stack pointer and reset.
+const BEFORE_HANDLERS: usize = 2;
+
+/// What an instruction does to the calls that have not returned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Calls a function.
+    Call,
+    /// Returns from one, or from an interrupt.
+    Return,
+    /// Anything else; a jump to another function leaves it to that one to return.
+    Other,
+}
+
+/// The code of an image.
+pub(crate) struct Code {
+    start: u32,
+    halves: Vec<u16>,
+    /// Where each interrupt's handler begins, and what the interrupt is called.
+    handlers: BTreeMap<u32, String>,
+}
+
+impl Code {
+    /// Of an ELF file.
+    pub(crate) fn of(file: &[u8]) -> Result<Self> {
+        let elf = ElfFile32::<LittleEndian>::parse(file).context("not an ELF file of a 32-bit part")?;
+        let vectors = elf.section_by_name(".vector_table").context("there is no vector table")?.data()?;
+        let vectors: BTreeSet<u32> = vectors
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .skip(BEFORE_HANDLERS)
+            .map(|word| u32::from_le_bytes(*word))
+            .collect();
+        let functions = elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text && symbol.size() > 0);
+        let handlers = functions
+            .filter(|symbol| vectors.contains(&(symbol.address() as u32)))
+            .map(|symbol| Ok((symbol.address() as u32 & !1, symbol.name()?.to_owned())))
+            .collect::<Result<_>>()?;
+        let text = elf.section_by_name(".text").context("there is no code")?;
+        let halves = text.data()?.as_chunks::<2>().0.iter().map(|half| u16::from_le_bytes(*half)).collect();
+        Ok(Self { start: text.address() as u32, halves, handlers })
+    }
+
+    /// The name of the interrupt whose handler begins there.
+    pub(crate) fn handler(&self, address: u32) -> Option<&str> {
+        self.handlers.get(&address).map(String::as_str)
+    }
+
+    /// Whether the instruction there puts the processor to sleep.
+    pub(crate) fn is_sleep(&self, address: u32) -> bool {
+        const WFI: u16 = 0xBF30;
+        self.halves_at(address).0 == WFI
+    }
+
+    /// The instruction's kind, and its length in bytes (ARM DDI 0403E, A5 and A7).
+    pub(crate) fn kind(&self, address: u32) -> (Kind, u32) {
+        let (first, second) = self.halves_at(address);
+        match first {
+            // bl
+            0xF000..=0xF7FF if second & 0xD000 == 0xD000 => (Kind::Call, 4),
+            // ldm sp!, {..., pc}; ldr pc, [sp], #4
+            0xE8BD if second & 0x8000 != 0 => (Kind::Return, 4),
+            0xF85D if second == 0xFB04 => (Kind::Return, 4),
+            // blx
+            _ if first & 0xFF87 == 0x4780 => (Kind::Call, 2),
+            // bx lr; pop {..., pc}
+            _ if first == 0x4770 || first & 0xFF00 == 0xBD00 => (Kind::Return, 2),
+            _ => (Kind::Other, if first >= 0xE800 { 4 } else { 2 }),
+        }
+    }
+
+    fn halves_at(&self, address: u32) -> (u16, u16) {
+        let index = address.wrapping_sub(self.start) as usize / 2;
+        let half = |index| self.halves.get(index).copied().unwrap_or(0);
+        (half(index), half(index.wrapping_add(1)))
+    }
+}

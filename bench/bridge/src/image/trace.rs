@@ -1,0 +1,225 @@
+//! What the processor did, from the addresses of its instructions.
+
+use std::collections::BTreeMap;
+use std::io::{self, BufReader, Read};
+
+use crate::code::{Code, Kind};
+
+/// The interrupt that only counts time: it may come at any moment, and what it takes is not counted.
+const TICK: &str = "SysTick";
+
+/// How the names of the serial ports' interrupts begin.
+const SERIAL: &str = "USART";
+
+/// The interrupts that a reply of a device may end with.
+const REPLIES: [&str; 2] = ["CAN1_RX0", "USART2"];
+
+/// Instructions of the main loop behind its sleep at most, until it lets interrupts in.
+const WAKING: u64 = 8;
+
+/// `USART_DR` of the host's port, with the marks of the recorder.
+const HOST_DATA_WRITTEN: u32 = 0x4001_1004 | 0b11;
+
+/// An interrupt that is being served.
+struct Activation {
+    interrupt: String,
+    /// Calls that have not returned yet.
+    calls: u32,
+    instructions: u64,
+    /// How often it read, and wrote, the data register of a serial port.
+    reads: u32,
+    writes: u32,
+}
+
+/// Instructions, each list in the order in which it happened.
+#[derive(Debug, Default)]
+pub(crate) struct Counts {
+    /// Of an interrupt of a serial port that took a byte and sent none.
+    pub(crate) received_byte: BTreeMap<String, Vec<u64>>,
+    /// From an interrupt of a reply that found the processor asleep, and was the last of it, to the first byte for the
+    /// host.
+    pub(crate) reply: BTreeMap<String, Vec<u64>>,
+    /// Of the main loop from sleep to sleep with nothing but a tick between.
+    pub(crate) idle_turn: Vec<u64>,
+    /// Of the same.
+    pub(crate) profiles: Profiles,
+}
+
+/// Where the instructions are.
+#[derive(Debug, Default)]
+pub(crate) struct Profiles {
+    pub(crate) received_byte: Profile,
+    pub(crate) reply: Profile,
+    pub(crate) idle_turn: Profile,
+}
+
+/// How often each instruction was executed in something that happened many times.
+#[derive(Debug, Default)]
+pub(crate) struct Profile {
+    under_way: Vec<u32>,
+    sum: BTreeMap<u32, u64>,
+    times: u64,
+}
+
+impl Profile {
+    /// Each address, and how often it was executed at a time.
+    pub(crate) fn shares(&self) -> impl Iterator<Item = (u32, f64)> + '_ {
+        self.sum.iter().map(|(address, count)| (*address, *count as f64 / self.times as f64))
+    }
+
+    /// What was under way is none of it.
+    fn start(&mut self) {
+        self.under_way.clear();
+    }
+
+    /// What was under way is done.
+    fn end(&mut self) {
+        self.times += 1;
+        for address in self.under_way.drain(..) {
+            *self.sum.entry(address).or_default() += 1;
+        }
+    }
+}
+
+/// Follows the processor.
+pub(crate) struct Trace {
+    code: Code,
+    /// The last instruction, and whether it has reached a data register: told of once more, it is another.
+    last: u32,
+    accessed: bool,
+    /// Those that are being served, the latest last.
+    activations: Vec<Activation>,
+    /// All but ticks.
+    total: u64,
+    /// Of the main loop since it slept; whether another interrupt than the tick came.
+    turn: (u64, bool),
+    /// The interrupt that may be the last of a reply, and the total when it came.
+    reply: Option<(String, u64)>,
+    pub(crate) counts: Counts,
+}
+
+impl Trace {
+    pub(crate) fn new(code: Code) -> Self {
+        Self {
+            code,
+            last: 0,
+            accessed: false,
+            activations: Vec::new(),
+            total: 0,
+            turn: (0, true),
+            reply: None,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Takes all that the recorder tells, until it ends.
+    pub(crate) fn read(&mut self, stream: impl Read) -> io::Result<()> {
+        let mut stream = BufReader::with_capacity(1 << 16, stream);
+        let mut word = [0; 4];
+        loop {
+            match stream.read_exact(&mut word) {
+                Ok(()) => self.take(u32::from_le_bytes(word)),
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn take(&mut self, word: u32) {
+        if word & 1 == 1 {
+            self.access(word);
+            self.accessed = true;
+        } else if word != self.last || self.accessed {
+            self.execute(word);
+            (self.last, self.accessed) = (word, false);
+        }
+    }
+
+    /// An access to a data register.
+    fn access(&mut self, word: u32) {
+        if let Some(activation) = self.activations.last_mut() {
+            *(if word & 0b10 == 0 { &mut activation.reads } else { &mut activation.writes }) += 1;
+        }
+        if word == HOST_DATA_WRITTEN
+            && let Some((interrupt, start)) = self.reply.take()
+        {
+            self.counts.reply.entry(interrupt).or_default().push(self.total - start);
+            self.counts.profiles.reply.end();
+        }
+    }
+
+    fn execute(&mut self, address: u32) {
+        self.go_on(address);
+        if let Some(interrupt) = self.code.handler(address).map(str::to_owned) {
+            self.enter(interrupt);
+        }
+        let Profiles { received_byte, reply, idle_turn } = &mut self.counts.profiles;
+        match self.activations.last_mut() {
+            Some(activation) => {
+                activation.instructions += 1;
+                if activation.interrupt.starts_with(SERIAL) {
+                    received_byte.under_way.push(address);
+                }
+                if activation.interrupt != TICK {
+                    self.total += 1;
+                    reply.under_way.extend(self.reply.is_some().then_some(address));
+                }
+            }
+            None => {
+                self.total += 1;
+                self.turn.0 += 1;
+                idle_turn.under_way.push(address);
+                reply.under_way.extend(self.reply.is_some().then_some(address));
+                if self.code.is_sleep(address) {
+                    let (instructions, disturbed) = std::mem::take(&mut self.turn);
+                    if disturbed {
+                        idle_turn.start();
+                    } else {
+                        idle_turn.end();
+                        self.counts.idle_turn.push(instructions);
+                    }
+                }
+            }
+        }
+    }
+
+    fn enter(&mut self, interrupt: String) {
+        self.turn.1 |= interrupt != TICK;
+        if interrupt.starts_with(SERIAL) {
+            self.counts.profiles.received_byte.start();
+        }
+        if REPLIES.contains(&interrupt.as_str()) {
+            self.counts.profiles.reply.start();
+            let found_asleep = self.activations.is_empty() && self.turn.0 <= WAKING;
+            self.reply = found_asleep.then(|| (interrupt.clone(), self.total - self.turn.0));
+        }
+        self.activations.push(Activation { interrupt, calls: 0, instructions: 0, reads: 0, writes: 0 });
+    }
+
+    /// Notes what the last instruction was, now that it is known where it led.
+    fn go_on(&mut self, address: u32) {
+        let (kind, length) = self.code.kind(self.last);
+        let Some(activation) = self.activations.last_mut() else { return };
+        // a condition may have kept it from being done; one handler may follow another in time and in place
+        if address == self.last.wrapping_add(length) && self.code.handler(address).is_none() {
+            return;
+        }
+        match kind {
+            Kind::Call => activation.calls += 1,
+            Kind::Return if activation.calls > 0 => activation.calls -= 1,
+            Kind::Return => self.end(),
+            Kind::Other => {}
+        }
+    }
+
+    /// The interrupt has been served.
+    fn end(&mut self) {
+        if let Some(done) = self.activations.pop()
+            && done.interrupt.starts_with(SERIAL)
+            && (done.reads, done.writes) == (1, 0)
+        {
+            self.counts.profiles.received_byte.end();
+            self.counts.received_byte.entry(done.interrupt).or_default().push(done.instructions);
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! What the bridge adds to the times on the wire, in virtual time with exact wire timing.
+//!
+//! Its argument is the time from an interrupt until the main loop has done what it brought, in ns: what the image takes
+//! for it. It prints a line for each figure: subject, what, number, with tabs.
+
+use std::env;
+
+use anyhow::{Context, Result, ensure};
+use jointbus_host_tests::sim::can_bits::{INTERMISSION, length};
+use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, World};
+use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_protocol::can::Frame;
+use jointbus_protocol::checksum::crc16;
+use jointbus_protocol::modbus::{self, Range, rtu};
+
+/// What the figures are of.
+const SUBJECT: &str = "bridge";
+
+/// Delays of the sensor, from the end of a request to the first bit of the reply, in us: one that fits the main loop's
+/// tick well tells little.
+const DEVICES: [Nanos; 8] = [0, 50, 75, 100, 110, 125, 150, 190];
+
+/// A read of the six axes of unit 1, on CAN, without its CRC.
+const READ: [u8; 5] = [1, 0x03, 0x02, 0x00, 0x12];
+const REPLY_LENGTH: usize = 1 + 2 + 18 + 2;
+
+/// Reads that are measured.
+const READS: usize = 1000;
+
+/// The bridge's own unit and its register of the first polling slot.
+const BRIDGE: u8 = 247;
+const FIRST_SLOT: u16 = 0x50;
+
+fn main() -> Result<()> {
+    let latency = env::args().nth(1).context("argument: the main loop's latency in ns")?.parse()?;
+    // the first one is ready at once, which leaves the most to the bridge
+    let (_, rate) = transparent(latency, 0)?;
+    let mut added: f64 = 0.0;
+    let mut shares = Vec::new();
+    for device in DEVICES.map(|micros| micros * MICROS) {
+        added = added.max(transparent(latency, device)?.0);
+        let (reads, limit) = slots(latency, device)?;
+        shares.push((100.0 * reads / limit, reads, limit, device));
+    }
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (share, reads, limit, device) = shares[0];
+    show("delay added to a read, us", added / 1000.0);
+    show("transparent reads a second", rate);
+    show("slot reads a second", reads);
+    show("slot reads a second, limit of the bus", limit);
+    show("slot reads, sensor's delay, us", device as f64 / 1000.0);
+    show("slot reads, share of the limit, %", share);
+    Ok(())
+}
+
+fn show(what: &str, figure: f64) {
+    println!("{SUBJECT}\t{what}\t{figure:.1}");
+}
+
+fn settings(latency: Nanos, device: Nanos) -> Settings {
+    let mut settings = Settings::new(1);
+    settings.latency = Delay::Fixed(latency);
+    settings.node_delay = Delay::Fixed(device);
+    settings
+}
+
+/// Reads one behind the other: the time that the bridge adds to one at most, in ns, and reads a second.
+fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
+    let settings = settings(latency, device);
+    let baud = u64::from(settings.network.port(Port::Host).baud());
+    let byte = 10 * SECONDS / baud;
+    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut world = World::new(settings, &mut queues);
+    let (start, mut worst) = (world.now(), 0);
+    for _ in 0..READS {
+        worst = worst.max(read(&mut world, byte)?);
+    }
+    let span = world.now().since(start) as f64 / SECONDS as f64;
+    Ok((worst as f64, READS as f64 / span))
+}
+
+/// One read; what lies between the host's last byte and the request on CAN, and between the last frame of the reply and
+/// its first byte to the host.
+fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
+    let asked = world.host_sends(&[&READ[..], &crc16(&READ).to_le_bytes()].concat());
+    let end = world.now().after(20 * MILLIS);
+    let (mut sent, mut heard, mut first, mut bytes) = (None, None, None::<Moment>, 0);
+    while bytes < REPLY_LENGTH {
+        match world.next(end).context("no reply")? {
+            Notice::CanFrame { start, .. } => sent = Some(start),
+            Notice::BridgeHears(_) => heard = Some(world.now()),
+            Notice::HostHears(_) => {
+                first.get_or_insert(world.now());
+                bytes += 1;
+            }
+            _ => {}
+        }
+    }
+    let (sent, heard, first) = (sent.context("no request")?, heard.context("no frame")?, first.context("?")?);
+    Ok(sent.since(asked) + first.since(heard) - byte)
+}
+
+/// All slots as often as they can: reads a second, and what the bus could carry of them.
+fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
+    const SLOTS: u8 = 8;
+    let settings = settings(latency, device);
+    let rate = u64::from(settings.network.port(Port::Can).rate) * 1000;
+    let nodes = settings.nodes;
+    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut world = World::new(settings, &mut queues);
+    // unit and period in 100 us of each
+    let data: Vec<u8> = (0..SLOTS).flat_map(|slot| [0, 1 + slot % nodes, 0, 1]).collect();
+    let range = Range::new(FIRST_SLOT, 2 * u16::from(SLOTS));
+    let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
+    let mut buffer = [0; rtu::FRAME_MAX];
+    let frame = rtu::encode_request(BRIDGE, &request, &mut buffer).ok().context("a request that fits")?;
+    let settled = world.host_sends(frame).after(10 * MILLIS);
+    while world.next(settled).is_some() {}
+    let sequence = |world: &World<'_>| -> u64 {
+        (0..SLOTS)
+            .filter_map(|slot| world.engine().slot(slot.into()))
+            .map(|slot| u64::from(slot.sequence))
+            .sum()
+    };
+    let (before, end) = (sequence(&world), settled.after(SECONDS));
+    let (mut bits, mut requests) = (0, 0);
+    let mut carry = |frame: &Frame| bits += length(frame).whole + INTERMISSION;
+    while let Some(notice) = world.next(end) {
+        match notice {
+            Notice::CanFrame { frame, .. } => {
+                carry(&frame);
+                requests += 1;
+            }
+            Notice::BridgeHears(frame) => carry(&frame),
+            _ => {}
+        }
+    }
+    let reads = sequence(&world) - before;
+    ensure!(reads > 0 && requests > 0, "the slots were not read");
+    let one = bits * SECONDS / rate / requests + device;
+    Ok((reads as f64, SECONDS as f64 / one as f64))
+}

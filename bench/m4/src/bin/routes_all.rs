@@ -1,0 +1,5 @@
+//! A routing table with sixteen routes.
+#![no_std]
+#![no_main]
+
+jointbus_bench_m4::image!(jointbus_bench_subjects::routes::Routes<16>);
