@@ -404,7 +404,7 @@ mod tests {
         let frame = rtu::encode_request(247, &request, &mut buffer).unwrap();
         for broken in 0..frame.len() {
             let mut now = Instant::from_micros(0);
-            let mut engine = Engine::new(&Network::default(), Limits::default(), identity, now);
+            let mut engine = Engine::new(identity, now);
             let mut queues = Queues::<INCOMING>::new();
             let (mut interrupt, mut main) = queues.split();
             for (index, byte) in frame.iter().enumerate() {
