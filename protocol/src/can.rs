@@ -46,6 +46,11 @@ impl Frame {
         Self::from_wire(id, false, length, bytes)
     }
 
+    /// A data frame whose identifier and length are known to fit; bytes past the length are 0.
+    pub(crate) const fn extended(id: u32, length: u8, data: [u8; 8]) -> Self {
+        Self { id: Id::Extended(id), remote: false, dlc: length, data }
+    }
+
     /// A frame from the fields of a controller or an adapter; bytes past the length are set to 0.
     ///
     /// # Errors

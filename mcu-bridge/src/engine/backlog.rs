@@ -140,6 +140,9 @@ impl Backlog {
     /// Drops the requests that can no longer be sent in time.
     pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         let Self { queue, kept, .. } = self;
+        if queue.0.is_empty() {
+            return;
+        }
         queue.0.retain(|waiting| {
             let late = now >= waiting.request.expires;
             if late {
@@ -277,7 +280,9 @@ impl OwedReplies {
     /// Forgets replies that are not to be expected any more; tells whether there were any.
     pub(super) fn expire(&mut self, now: Instant) -> bool {
         let before = self.0.len();
-        self.0.retain(|owed| now < owed.until);
+        if before > 0 {
+            self.0.retain(|owed| now < owed.until);
+        }
         self.0.len() < before
     }
 

@@ -9,14 +9,23 @@ use jointbus_protocol::nxi6201;
 /// Values of the analog inputs.
 pub(super) type Analog = [u16; LOCAL_IO.analog_inputs as usize];
 
-/// The board's own outputs: the firmware looks at the registers.
-#[derive(Debug)]
-pub(super) struct LocalOutputs;
+/// The board's own outputs: the firmware looks at the registers when they were written.
+#[derive(Debug, Default)]
+pub(super) struct LocalOutputs {
+    is_changed: bool,
+}
+
+impl LocalOutputs {
+    pub(super) const fn take_change(&mut self) -> bool {
+        core::mem::replace(&mut self.is_changed, false)
+    }
+}
 
 impl nxi6201::Hardware for LocalOutputs {
     type Error = Infallible;
 
     fn commit(&mut self, _settings: &nxi6201::Settings) -> Result<(), Infallible> {
+        self.is_changed = true;
         Ok(())
     }
 }

@@ -103,7 +103,7 @@ impl Engine {
     /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`].
     #[must_use]
     pub fn new(identity: Identity, now: Instant) -> Self {
-        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs, &nxi6201::Settings::default());
+        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::default(), &nxi6201::Settings::default());
         Self {
             host: HostDeframer::new(Limits::DEFAULT.burst_silence()),
             core: Core {
@@ -270,6 +270,11 @@ impl Engine {
         self.core.outputs.settings()
     }
 
+    /// Whether [`Engine::analog_outputs`] has been written since this was asked last.
+    pub const fn take_output_change(&mut self) -> bool {
+        self.core.outputs.hardware().take_change()
+    }
+
     /// What the board's digital outputs are to be, DO0 in bit 0.
     #[must_use]
     pub const fn digital_outputs(&self) -> u16 {
@@ -338,19 +343,23 @@ impl Engine {
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        let silence = self.core.last_request.filter(|_| self.core.limits.host_silence_ms > 0);
-        [
-            self.core.confirm_until,
-            silence.map(|last| last.after(self.core.host_silence_limit())),
-            self.host.deadline(),
-            self.core.polling.deadline(),
-            self.core.rs485_a.deadline(self.core.live.port(Port::Rs485A)),
-            self.core.rs485_b.deadline(self.core.live.port(Port::Rs485B)),
-            self.core.can.deadline(),
-        ]
-        .into_iter()
-        .flatten()
-        .min()
+        let Self { host, core } = self;
+        let silence = core.last_request.filter(|_| core.limits.host_silence_ms > 0);
+        let mut first = core.confirm_until;
+        first = sooner(first, silence.map(|last| last.after(core.host_silence_limit())));
+        first = sooner(first, host.deadline());
+        first = sooner(first, core.polling.deadline());
+        first = sooner(first, core.rs485_a.deadline(core.live.port(Port::Rs485A)));
+        first = sooner(first, core.rs485_b.deadline(core.live.port(Port::Rs485B)));
+        sooner(first, core.can.deadline())
+    }
+}
+
+/// The earlier one of two moments that may never come.
+fn sooner(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
     }
 }
 

@@ -158,36 +158,62 @@ impl Slot {
 
 /// All slots.
 #[derive(Debug)]
-pub(super) struct Polling([Slot; SLOTS]);
+pub(super) struct Polling {
+    slots: [Slot; SLOTS],
+    /// When the next period begins.
+    next: Option<Instant>,
+    /// Slots that wait for their bus, one bit each: mostly none, and then nobody has to look.
+    due: u8,
+}
+
+const _: () = assert!(SLOTS <= u8::BITS as usize);
 
 impl Polling {
     pub(super) const fn new() -> Self {
-        Self([Slot::OFF; SLOTS])
+        Self { slots: [Slot::OFF; SLOTS], next: None, due: 0 }
     }
 
     pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
-        self.0.get(index)
+        self.slots.get(index)
     }
 
     /// Sets a slot anew; a read of the former one that is under way is then nobody's.
     pub(super) fn set(&mut self, index: usize, slot: Slot) {
-        if let Some(place) = self.0.get_mut(index) {
+        if let Some(place) = self.slots.get_mut(index) {
             *place = slot;
         }
+        self.look();
     }
 
     /// Switches all slots off.
     pub(super) fn clear(&mut self) {
-        self.0.iter_mut().for_each(|slot| *slot = Slot::OFF);
+        self.slots.iter_mut().for_each(|slot| *slot = Slot::OFF);
+        self.look();
     }
 
     pub(super) fn tick(&mut self, now: Instant) {
-        self.0.iter_mut().for_each(|slot| slot.tick(now));
+        if self.next.is_some_and(|next| now >= next) {
+            self.slots.iter_mut().for_each(|slot| slot.tick(now));
+            self.look();
+        }
+    }
+
+    /// Sees what is due, and when something is next.
+    fn look(&mut self) {
+        (self.next, self.due) = (None, 0);
+        for (index, slot) in (0..).zip(&self.slots) {
+            if slot.period_100us > 0 {
+                self.next = self.next.into_iter().chain(Some(slot.next)).min();
+            }
+            if slot.progress == Progress::Due {
+                self.due |= 1u8.wrapping_shl(index);
+            }
+        }
     }
 
     /// When the next period begins.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        self.0.iter().filter(|slot| slot.period_100us > 0).map(|slot| slot.next).min()
+    pub(super) const fn deadline(&self) -> Option<Instant> {
+        self.next
     }
 
     /// The read of the slot that is due on a bus and began its period first, if nothing holds it back.
@@ -198,8 +224,11 @@ impl Polling {
         now: Instant,
         held: impl Fn(&Request) -> bool,
     ) -> Option<Request> {
+        if self.due == 0 {
+            return None;
+        }
         let mut due: Option<(u8, Instant, Request)> = None;
-        for (index, slot) in (0..).zip(&self.0).filter(|(_, slot)| slot.progress == Progress::Due) {
+        for (index, slot) in (0..).zip(&self.slots).filter(|(_, slot)| slot.progress == Progress::Due) {
             let began = slot.next;
             if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
                 continue;
@@ -213,13 +242,14 @@ impl Polling {
             }
         }
         let (index, _, request) = due?;
-        self.0.get_mut(usize::from(index))?.progress = Progress::InFlight;
+        self.slots.get_mut(usize::from(index))?.progress = Progress::InFlight;
+        self.look();
         Some(request)
     }
 
     /// A sample came; its last byte or frame at `now`.
     pub(super) fn answered(&mut self, index: usize, body: &[u8], now: Instant) {
-        let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress.is_in_flight()) else {
+        let Some(slot) = self.slots.get_mut(index).filter(|slot| slot.progress.is_in_flight()) else {
             return;
         };
         slot.progress = slot.progress.done();
@@ -229,14 +259,16 @@ impl Polling {
             slot.sequence = slot.sequence.wrapping_add(1);
             slot.has_sample = true;
         }
+        self.look();
     }
 
     /// A read had no answer, or was not sent.
     pub(super) fn failed(&mut self, index: usize) {
-        if let Some(slot) = self.0.get_mut(index).filter(|slot| slot.progress.is_in_flight()) {
+        if let Some(slot) = self.slots.get_mut(index).filter(|slot| slot.progress.is_in_flight()) {
             slot.progress = slot.progress.done();
             slot.failures = slot.failures.wrapping_add(1);
         }
+        self.look();
     }
 }
 
@@ -289,17 +321,18 @@ mod tests {
 
     #[test]
     fn a_read_that_begins_late_within_its_period_is_not_missed() {
-        let mut polling = Polling([Slot::default(); SLOTS]);
+        let mut polling = Polling::new();
         polling.set(0, Slot { progress: Progress::InFlight, ..Slot::new(1, 10, at(1000)) });
         polling.tick(at(1000));
         polling.answered(0, &[], at(1300));
-        assert_eq!(polling.0[0].progress, Progress::Due, "the read of the period that has begun");
-        polling.0[0].progress = Progress::InFlight;
+        assert_eq!(polling.slots[0].progress, Progress::Due, "the read of the period that has begun");
+        polling.slots[0].progress = Progress::InFlight;
+        polling.look();
         polling.tick(at(2000));
         polling.tick(at(3000));
         polling.failed(0);
         assert_eq!(
-            (polling.0[0].progress, polling.0[0].missed),
+            (polling.slots[0].progress, polling.slots[0].missed),
             (Progress::Due, 1),
             "a whole period passed on the bus"
         );

@@ -138,12 +138,23 @@ impl Iterator for Segments<'_> {
         if self.rest.is_empty() {
             return None;
         }
-        let (data, rest) = self.rest.split_at_checked(8).unwrap_or((self.rest, &[]));
-        let frame_type = match (self.counter == 0, rest.is_empty()) {
-            (true, true) => FrameType::Single,
-            (true, false) => FrameType::First,
-            (false, false) => FrameType::Middle,
-            (false, true) => FrameType::Last,
+        let (frame_type, length, payload, rest) = match self.rest.split_first_chunk() {
+            Some((payload, rest)) => {
+                let is_last = rest.is_empty();
+                let frame_type = match (self.counter == 0, is_last) {
+                    (true, true) => FrameType::Single,
+                    (true, false) => FrameType::First,
+                    (false, false) => FrameType::Middle,
+                    (false, true) => FrameType::Last,
+                };
+                (frame_type, FRAME_DATA_MAX, *payload, rest)
+            }
+            None => {
+                let mut payload = [0; FRAME_DATA_MAX];
+                payload.iter_mut().zip(self.rest).for_each(|(place, byte)| *place = *byte);
+                let frame_type = if self.counter == 0 { FrameType::Single } else { FrameType::Last };
+                (frame_type, self.rest.len(), payload, &[][..])
+            }
         };
         let identifier = Identifier {
             source: self.source,
@@ -153,7 +164,8 @@ impl Iterator for Segments<'_> {
         };
         self.rest = rest;
         self.counter = self.counter.wrapping_add(1);
-        Frame::data_frame(Id::Extended(identifier.to_raw()), data).ok()
+        let length = u8::try_from(length).unwrap_or(0);
+        Some(Frame::extended(identifier.to_raw(), length, payload))
     }
 }
 

@@ -207,7 +207,9 @@ mod app {
                 carry_can_out(local.engine, now);
             }
             MARKS.set(Part::Can);
-            local.outputs.apply(local.engine.analog_outputs());
+            if local.engine.take_output_change() {
+                local.outputs.apply(local.engine.analog_outputs());
+            }
             outputs::drive_digital(local.engine.digital_outputs());
 
             if let (Some(config), Some(bus_hz)) = (local.engine.take_port_change(Port::Can), *local.can)
