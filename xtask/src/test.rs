@@ -135,7 +135,7 @@ static STEPS: &[Step] = &[
             bench::prepare(workspace)
         },
         run: |workspace| {
-            bench::lint(workspace)?;
+            bench::lint_and_test(workspace)?;
             bench::check(workspace)
         },
     },

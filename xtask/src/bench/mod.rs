@@ -95,8 +95,8 @@ pub(crate) fn check(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-/// The formatter and the linter over the benchmark's workspace, the servers of others left out.
-pub(crate) fn lint(workspace: &Workspace) -> Result<()> {
+/// The formatter, the linter and the tests of the benchmark's workspace, the servers of others left out.
+pub(crate) fn lint_and_test(workspace: &Workspace) -> Result<()> {
     run::shown(workspace.cargo().args(["fmt", "--all", "--manifest-path", MANIFEST, "--", "--check"]))?;
     let clippy = |mut command: Command, packages: &[&str]| {
         command.args(["--quiet", "--manifest-path", MANIFEST, "--target-dir"]).arg(builds(workspace));
@@ -109,7 +109,10 @@ pub(crate) fn lint(workspace: &Workspace) -> Result<()> {
     command.arg("clippy");
     clippy(command, &["jointbus-bench-host", "jointbus-bench-bridge", "jointbus-bench-recorder"])?;
     let command = setup::toolchain(workspace)?.cargo(workspace, "clippy");
-    clippy(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])
+    clippy(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"]);
+    run::shown(command.arg(builds(workspace)).args(["--package", bridge::PACKAGE]))
 }
 
 fn measure(workspace: &Workspace, others: bool) -> Result<Figures> {
