@@ -85,6 +85,12 @@ impl Code {
         }
     }
 
+    /// Whether the instruction there may depend on a condition: `it` stands up to three instructions before it.
+    pub(crate) fn is_conditional(&self, address: u32) -> bool {
+        let is_it = |half: u16| half & 0xFF00 == 0xBF00 && half & 0x000F != 0;
+        (1..=7).any(|back| is_it(self.halves_at(address.wrapping_sub(2 * back)).0))
+    }
+
     fn halves_at(&self, address: u32) -> (u16, u16) {
         let index = address.wrapping_sub(self.start) as usize / 2;
         let half = |index| self.halves.get(index).copied().unwrap_or(0);
@@ -95,6 +101,14 @@ impl Code {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_condition_stands_before_what_depends_on_it() {
+        let halves = [0xBF00, 0xBF08, 0x4770, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0x4770];
+        let code = Code::made_of(0x1000, &halves, &[]);
+        assert!(code.is_conditional(0x1004), "it eq; bxeq lr");
+        assert!(!code.is_conditional(0x1002) && !code.is_conditional(0x1012));
+    }
 
     #[test]
     fn calls_and_returns_are_known_by_their_bits() {

@@ -201,7 +201,8 @@ impl Trace {
         let (kind, length) = self.code.kind(self.last);
         let Some(activation) = self.activations.last_mut() else { return };
         // a condition may have kept it from being done; one handler may follow another in time and in place
-        if address == self.last.wrapping_add(length) && self.code.handler(address).is_none() {
+        let is_next = address == self.last.wrapping_add(length) && self.code.handler(address).is_none();
+        if is_next && self.code.is_conditional(self.last) {
             return;
         }
         match kind {
