@@ -4,7 +4,7 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, sealed};
-use jointbus_mcu_bridge::engine::config::{Limits, Network, Port};
+use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause, SLOTS, Settings};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::{Duration, Instant};

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | UART characters | start, data, parity and stop bits at the port's rate, one behind the other |
 //! | the host's line | full duplex |
-//! | RS485 lines | half duplex: two drivers at once destroy each other's bytes, a driver that is held too long destroys the answer, a byte without its driver is not heard; all devices hear each other; echo if the port is set so |
+//! | RS485 lines | half duplex: two drivers at once destroy each other's bytes, a driver that is held too long destroys the answer, a byte without its driver is not heard; all devices hear each other; echo if the port is set so; RTU, or ASCII on the second line |
 //! | the CAN bus | frames at their stuffed length with intermission; arbitration by identifier, acknowledgement, error frames and retransmission, transmit errors up to error passive and bus-off, 128 times 11 recessive bits out of it |
 //! | the controller | three mailboxes in the order of the requests, abort, the acceptance filter |
 //! | the firmware | the queues between interrupts and main loop (its own code), the main loop's order, its latency, its tick of 100 us |
@@ -63,6 +63,7 @@ mod random;
 mod recorder;
 mod run;
 mod settings;
+mod spelling;
 mod station;
 mod tally;
 mod trial;

@@ -7,11 +7,12 @@ use super::moment::{MICROS, MILLIS, Moment, Nanos};
 use super::question::{Question, Questions};
 use super::random::Random;
 use super::settings::Settings;
+use super::spelling::with_crc;
 use super::station::{flip_bits, reseal};
 use super::tally::Tally;
 use super::world::{Notice, World};
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::{Network, Port};
+use jointbus_mcu_bridge::engine::config::{Bus, Network, Port, Protocol};
 use jointbus_mcu_bridge::io::serial::Queues;
 use jointbus_protocol::deframe::STRAY_MAX;
 use jointbus_protocol::modbus::{self, Range, rtu};
@@ -72,6 +73,11 @@ impl Plan {
         // some ports hear themselves
         for port in [Port::Rs485A, Port::Rs485B] {
             settings.network.ports[port.index()].echo = random.chance(300_000);
+        }
+        // and some stations speak Modbus ASCII
+        if random.chance(250_000) {
+            let rows = settings.network.routes.iter_mut();
+            rows.filter(|row| row.bus == Bus::Rs485B).for_each(|row| row.protocol = Protocol::ModbusAscii);
         }
         settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
         let manner = match random.below(3) {
@@ -252,7 +258,9 @@ impl<'q> Run<'q> {
         match *notice {
             Notice::HostHears(byte) => return self.master.hear(byte, &self.world),
             Notice::SerialFrame { port, start } => {
-                self.master.overhears(port, self.world.sent_frame(port), start, now);
+                let frame = self.world.sent_frame(port);
+                let frame = if frame.first() == Some(&b':') { with_crc(frame) } else { frame.to_vec() };
+                self.master.overhears(port, &frame, start, now);
             }
             Notice::CanFrame { frame, start } => self.master.overhears_frame(&frame, start, now),
             Notice::Ordered { port, address, order } => self.master.ordered(port, address, &order, now),

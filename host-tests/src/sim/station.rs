@@ -4,11 +4,13 @@ use super::delay::Delay;
 use super::fault::Fault;
 use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
+use super::spelling;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
 };
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
+use jointbus_protocol::modbus::ascii;
 use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nst::register::SETTINGS_LENGTH;
 use jointbus_protocol::time::{Duration, Instant};
@@ -67,6 +69,8 @@ pub struct SerialStation {
     pub without: Option<usize>,
     /// When it is to be told the time; one entry of the agenda at most.
     pub(super) polled: Option<Moment>,
+    /// The line speaks Modbus ASCII: what is between its characters and the device.
+    ascii: Option<ascii::Deframer>,
     replies: VecDeque<(Moment, Vec<u8>)>,
     orders_seen: u64,
 }
@@ -79,17 +83,18 @@ impl SerialStation {
         Self::new(SerialDevice::Sensor(Box::new(line)), delay)
     }
 
-    /// A station whose modules are the units from 1.
+    /// A station whose modules are the units from 1, in Modbus RTU or ASCII.
     #[must_use]
-    pub fn station(delay: Delay) -> Self {
+    pub fn station(delay: Delay, is_ascii: bool) -> Self {
         let line =
             NdamLine::new(LAYOUT, 1, PROMPT).unwrap_or_else(|_| unreachable!("eight modules fit from 1"));
-        Self::new(SerialDevice::Station(Box::new(line.spelling())), delay)
+        let ascii = is_ascii.then(ascii::Deframer::new);
+        Self { ascii, ..Self::new(SerialDevice::Station(Box::new(line.spelling())), delay) }
     }
 
     fn new(device: SerialDevice, delay: Delay) -> Self {
         let (absent, replies) = (Moment::default(), VecDeque::new());
-        Self { device, delay, absent, without: None, polled: None, replies, orders_seen: 0 }
+        Self { device, delay, absent, without: None, polled: None, ascii: None, replies, orders_seen: 0 }
     }
 
     fn line(&mut self) -> &mut dyn SerialLine {
@@ -104,9 +109,16 @@ impl SerialStation {
         if now < self.absent {
             return Vec::new();
         }
-        let reply = match byte {
-            Some(byte) => self.line().receive(&[byte], now.instant()),
-            None => self.line().poll(now.instant()),
+        let reply = match (byte, &mut self.ascii) {
+            (Some(byte), None) => self.line().receive(&[byte], now.instant()),
+            (Some(byte), Some(deframer)) => {
+                let frame = match deframer.feed(&mut &[byte][..]) {
+                    Some(ascii::Event::Frame(frame)) => spelling::sealed(&frame),
+                    _ => return Vec::new(),
+                };
+                self.line().receive(&frame, now.instant())
+            }
+            (None, _) => self.line().poll(now.instant()),
         };
         let dead = self.without.map(|index| index as u8 + 1);
         if dead.is_some() && reply.first().copied() == dead { Vec::new() } else { reply }
@@ -137,6 +149,7 @@ impl SerialStation {
     /// Has a reply sent at that moment, or behind those before it; not at all if that is later than `latest`.
     pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<u8>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
+        let reply = if self.ascii.is_some() { spelling::in_characters(&reply) } else { reply };
         (at <= latest).then(|| {
             self.replies.push_back((at, reply));
             at

@@ -17,7 +17,7 @@ use super::settings::Settings;
 use super::station::{CanStation, SerialStation};
 use crate::devices::Order;
 use jointbus_mcu_bridge::engine::Engine;
-use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
+use jointbus_mcu_bridge::engine::config::{self, Port, PortConfig};
 use jointbus_mcu_bridge::io::serial::Queues;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::time::Duration;
@@ -173,7 +173,13 @@ impl<'q> World<'q> {
             .map(|address| SerialStation::sensor(address, silence, settings.sensor_delay));
         let lines = [
             bus(Port::Rs485A, sensors.collect()),
-            bus(Port::Rs485B, vec![SerialStation::station(settings.station_delay)]),
+            bus(
+                Port::Rs485B,
+                vec![SerialStation::station(
+                    settings.station_delay,
+                    settings.network.speaks_ascii(config::Bus::Rs485B),
+                )],
+            ),
         ];
         let nodes: Vec<_> =
             (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();

@@ -1,4 +1,5 @@
-use super::respond::{Server, answer, respond};
+use super::owner::Server;
+use super::respond::{answer, respond};
 use super::{Audience, Silence};
 use crate::checksum::{self, CRC_LENGTH};
 use crate::modbus::identification::MEI_TYPE;

@@ -9,14 +9,19 @@
 //! own manuals.
 
 mod framing;
+mod owner;
 mod ram;
+mod rarer;
 mod respond;
 mod serial;
+#[cfg(test)]
+mod tests;
 mod view;
 
 pub use framing::{ascii, rtu, rtu_with, tcp};
+pub use owner::{Failure, Server};
 pub use ram::RamTables;
-pub use respond::{Failure, Server, respond};
+pub use respond::respond;
 pub(crate) use respond::{complete, data_unit, reading, written};
 pub use serial::{Audience, Silence, malformed, serve_ascii, serve_rtu};
 pub use view::{BitWriter, Bits, RegisterWriter, Registers};

@@ -1,4 +1,4 @@
-use super::respond::Server;
+use super::owner::Server;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{ExceptionCode, FunctionCode, Range, masked};
 
