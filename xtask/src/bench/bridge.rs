@@ -11,7 +11,8 @@ use super::{MANIFEST, builds};
 use crate::workspace::Workspace;
 use crate::{emulate, firmware, run};
 
-const PACKAGE: &str = "jointbus-bench-bridge";
+/// The package of the programs.
+pub(crate) const PACKAGE: &str = "jointbus-bench-bridge";
 const RECORDER: &str = "jointbus-bench-recorder";
 
 /// What all figures are of.

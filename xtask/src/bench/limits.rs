@@ -69,6 +69,23 @@ static LIMITS: &[Limit] = &[
     over(SPEED),
 ];
 
+/// Figures that are beyond their limit today, and what they must not be beyond meanwhile. Whoever brings one within its
+/// limit takes it off.
+static MEANWHILE: &[(&str, &str, &str, f64)] = &[
+    (host::PLACE, "server", "03 x 10 registers", 445.0),
+    (host::PLACE, "server", "10 x 10 registers", 445.0),
+    (host::PLACE, "server", "01 x 16 coils", 360.0),
+    (host::PLACE, "server", "wrong CRC", 85.0),
+    (bridge::IMAGE, bridge::SUBJECT, "flash", 60_000.0),
+    (bridge::IMAGE, bridge::SUBJECT, "static RAM", 12_700.0),
+    (bridge::IMAGE, bridge::SUBJECT, "worst stack", 5_200.0),
+    (bridge::IMAGE, bridge::SUBJECT, "reply from RS485 to host, worst", 3_150.0),
+    (bridge::IMAGE, bridge::SUBJECT, "reply from CAN to host, worst", 3_100.0),
+    (bridge::IMAGE, bridge::SUBJECT, "idle turn", 800.0),
+    (SIZE, "routes_all", "the last of the units", 250.0),
+    (SPEED, "routes_all", "the last of the units", 140.0),
+];
+
 const fn at_most(place: &'static str, subject: &'static str, what: &'static str, most: f64) -> Limit {
     Limit { place, subject, what, bound: Bound::AtMost(most) }
 }
@@ -101,6 +118,17 @@ impl Verdict {
         }
     }
 
+    /// Whether the limit is held, or the figure is no worse than is allowed meanwhile.
+    pub(crate) fn is_tolerated(&self) -> bool {
+        self.holds() || self.meanwhile().is_some_and(|most| self.figure <= most)
+    }
+
+    fn meanwhile(&self) -> Option<f64> {
+        let Limit { place, subject, what, .. } = *self.limit;
+        let mut entries = MEANWHILE.iter();
+        entries.find(|entry| (entry.0, entry.1, entry.2) == (place, subject, what)).map(|entry| entry.3)
+    }
+
     fn columns(&self) -> [String; 5] {
         let Limit { place, subject, what, bound } = self.limit;
         let (what, bound) = match bound {
@@ -110,8 +138,12 @@ impl Verdict {
             Bound::Grows(most) => ((*what).to_owned(), format!("at most {most}")),
         };
         let figure = (self.figure * 1000.0).round() / 1000.0;
-        let verdict = if self.holds() { "holds" } else { "**not held**" };
-        [format!("{place}: {subject}"), what, figure.to_string(), bound, verdict.to_owned()]
+        let verdict = match self.meanwhile() {
+            _ if self.holds() => "holds".to_owned(),
+            Some(most) => format!("**not held**, meanwhile at most {most}"),
+            None => "**not held**".to_owned(),
+        };
+        [format!("{place}: {subject}"), what, figure.to_string(), bound, verdict]
     }
 }
 
@@ -157,6 +189,17 @@ mod tests {
         };
         assert!(of(Bound::AtMost(40.0), 40.0).holds() && !of(Bound::AtMost(40.0), 41.0).holds());
         assert!(of(Bound::AtLeast(95.0), 95.0).holds() && !of(Bound::AtLeast(95.0), 94.9).holds());
+    }
+
+    #[test]
+    fn what_is_allowed_meanwhile_has_a_limit_and_is_beyond_it() {
+        for (place, subject, what, most) in MEANWHILE {
+            let mut limits = LIMITS.iter();
+            let limit = limits.find(|limit| (limit.place, limit.subject, limit.what) == (*place, *subject, *what));
+            let limit = limit.expect("a figure with a limit");
+            let at = |figure| Verdict { limit, figure };
+            assert!(!at(*most).holds() && at(*most).is_tolerated() && !at(most + 1.0).is_tolerated());
+        }
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub(crate) struct Manner {
 pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
     prepare(workspace)?;
     if manner.check {
-        return check(workspace);
+        return check(workspace, limits::Verdict::holds);
     }
     if manner.profile {
         return bridge::profile(workspace);
@@ -84,19 +84,24 @@ pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
     setup::valgrind()
 }
 
-/// Measures what has a limit, and fails where one is not held.
-pub(crate) fn check(workspace: &Workspace) -> Result<()> {
+/// Measures what has a limit, and fails where a figure is worse than it may be meanwhile.
+pub(crate) fn no_worse(workspace: &Workspace) -> Result<()> {
+    check(workspace, limits::Verdict::is_tolerated)
+}
+
+/// Measures what has a limit, and fails where one does not hold.
+fn check(workspace: &Workspace, holds: impl Fn(&limits::Verdict) -> bool) -> Result<()> {
     let verdicts = limits::verdicts(&measure(workspace, false)?)?;
     println!("\n{}", limits::table(&verdicts));
-    let broken: Vec<String> = verdicts.iter().filter(|one| !one.holds()).map(ToString::to_string).collect();
+    let broken: Vec<String> = verdicts.iter().filter(|one| !holds(one)).map(ToString::to_string).collect();
     if !broken.is_empty() {
         bail!("{} of {} limits are not held:\n  {}", broken.len(), verdicts.len(), broken.join("\n  "));
     }
     Ok(())
 }
 
-/// The formatter and the linter over the benchmark's workspace, the servers of others left out.
-pub(crate) fn lint(workspace: &Workspace) -> Result<()> {
+/// The formatter, the linter and the tests of the benchmark's workspace, the servers of others left out.
+pub(crate) fn lint_and_test(workspace: &Workspace) -> Result<()> {
     run::shown(workspace.cargo().args(["fmt", "--all", "--manifest-path", MANIFEST, "--", "--check"]))?;
     let clippy = |mut command: Command, packages: &[&str]| {
         command.args(["--quiet", "--manifest-path", MANIFEST, "--target-dir"]).arg(builds(workspace));
@@ -109,7 +114,10 @@ pub(crate) fn lint(workspace: &Workspace) -> Result<()> {
     command.arg("clippy");
     clippy(command, &["jointbus-bench-host", "jointbus-bench-bridge", "jointbus-bench-recorder"])?;
     let command = setup::toolchain(workspace)?.cargo(workspace, "clippy");
-    clippy(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])
+    clippy(command, &["jointbus-bench-m4", "jointbus-bench-subjects"])?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"]);
+    run::shown(command.arg(builds(workspace)).args(["--package", bridge::PACKAGE]))
 }
 
 fn measure(workspace: &Workspace, others: bool) -> Result<Figures> {

@@ -50,6 +50,13 @@ impl Code {
         Ok(Self { start: text.address() as u32, halves, handlers })
     }
 
+    /// Of these halfwords from an address on, with a handler for each interrupt.
+    #[cfg(test)]
+    pub(crate) fn made_of(start: u32, halves: &[u16], handlers: &[(u32, &str)]) -> Self {
+        let handlers = handlers.iter().map(|(address, name)| (*address, (*name).to_owned())).collect();
+        Self { start, halves: halves.to_vec(), handlers }
+    }
+
     /// The name of the interrupt whose handler begins there.
     pub(crate) fn handler(&self, address: u32) -> Option<&str> {
         self.handlers.get(&address).map(String::as_str)
@@ -78,9 +85,46 @@ impl Code {
         }
     }
 
+    /// Whether the instruction there may depend on a condition: `it` stands up to three instructions before it.
+    pub(crate) fn is_conditional(&self, address: u32) -> bool {
+        let is_it = |half: u16| half & 0xFF00 == 0xBF00 && half & 0x000F != 0;
+        (1..=7).any(|back| is_it(self.halves_at(address.wrapping_sub(2 * back)).0))
+    }
+
     fn halves_at(&self, address: u32) -> (u16, u16) {
         let index = address.wrapping_sub(self.start) as usize / 2;
         let half = |index| self.halves.get(index).copied().unwrap_or(0);
         (half(index), half(index.wrapping_add(1)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_condition_stands_before_what_depends_on_it() {
+        let halves = [0xBF00, 0xBF08, 0x4770, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0xBF00, 0x4770];
+        let code = Code::made_of(0x1000, &halves, &[]);
+        assert!(code.is_conditional(0x1004), "it eq; bxeq lr");
+        assert!(!code.is_conditional(0x1002) && !code.is_conditional(0x1012));
+    }
+
+    #[test]
+    fn calls_and_returns_are_known_by_their_bits() {
+        for (halves, expected) in [
+            ([0xF000, 0xF800], (Kind::Call, 4)),   // bl
+            ([0x4798, 0xBF00], (Kind::Call, 2)),   // blx r3
+            ([0x4770, 0xBF00], (Kind::Return, 2)), // bx lr
+            ([0xBD80, 0xBF00], (Kind::Return, 2)), // pop {r7, pc}
+            ([0xE8BD, 0x8FF0], (Kind::Return, 4)), // pop.w {r4-r11, pc}
+            ([0xF85D, 0xFB04], (Kind::Return, 4)), // ldr pc, [sp], #4
+            ([0xBC80, 0xBF00], (Kind::Other, 2)),  // pop {r7}
+            ([0xF000, 0xB800], (Kind::Other, 4)),  // b.w
+            ([0xE8BD, 0x0FF0], (Kind::Other, 4)),  // pop.w {r4-r11}
+            ([0x4718, 0xBF00], (Kind::Other, 2)),  // bx r3
+        ] {
+            assert_eq!(Code::made_of(0x1000, &halves, &[]).kind(0x1000), expected, "{halves:04x?}");
+        }
     }
 }

@@ -201,7 +201,8 @@ impl Trace {
         let (kind, length) = self.code.kind(self.last);
         let Some(activation) = self.activations.last_mut() else { return };
         // a condition may have kept it from being done; one handler may follow another in time and in place
-        if address == self.last.wrapping_add(length) && self.code.handler(address).is_none() {
+        let is_next = address == self.last.wrapping_add(length) && self.code.handler(address).is_none();
+        if is_next && self.code.is_conditional(self.last) {
             return;
         }
         match kind {
@@ -221,5 +222,70 @@ impl Trace {
             self.counts.profiles.received_byte.end();
             self.counts.received_byte.entry(done.interrupt).or_default().push(done.instructions);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SLEEP: u32 = 0x1000;
+    const AWAKE: [u32; 2] = [0x1002, 0x1004];
+    const HOST: [u32; 2] = [0x1010, 0x1014];
+    const TICK_HANDLER: u32 = 0x1016;
+    const CALLED: [u32; 2] = [0x1018, 0x101A];
+    const CAN: u32 = 0x101C;
+    const BYTE_READ: u32 = 0x4001_1005;
+
+    /// A main loop that sleeps, a handler that calls a function and lies before the tick's, and one for CAN.
+    fn trace() -> Trace {
+        const NOP: u16 = 0xBF00;
+        let mut halves = [NOP; 16];
+        halves[0] = 0xBF30; // wfi
+        halves[2] = 0xE7FC; // b to it
+        halves[8..11].copy_from_slice(&[0xF000, 0xF800, 0xBD80]); // bl; pop {r7, pc}
+        halves[11] = 0x4770; // bx lr
+        halves[13] = 0x4770;
+        halves[14] = 0x4770;
+        let handlers = [(HOST[0], "USART1"), (TICK_HANDLER, "SysTick"), (CAN, "CAN1_RX0")];
+        let mut trace = Trace::new(Code::made_of(SLEEP, &halves, &handlers));
+        follow(&mut trace, &[SLEEP]);
+        trace
+    }
+
+    fn follow(trace: &mut Trace, words: &[u32]) {
+        words.iter().for_each(|word| trace.take(*word));
+    }
+
+    #[test]
+    fn an_interrupt_ends_with_its_own_return() {
+        let mut trace = trace();
+        let [enter, leave] = HOST;
+        let [callee, back] = CALLED;
+        // the tick comes behind it without a step of the main loop between, and in the middle of the next
+        follow(&mut trace, &[enter, callee, BYTE_READ, back, leave, TICK_HANDLER]);
+        follow(&mut trace, &AWAKE);
+        follow(&mut trace, &[SLEEP, enter, TICK_HANDLER, callee, BYTE_READ, back, leave, AWAKE[0]]);
+        assert_eq!(trace.counts.received_byte["USART1"], [4, 4]);
+        assert!(trace.activations.is_empty());
+    }
+
+    #[test]
+    fn a_turn_is_idle_when_only_the_tick_came() {
+        let mut trace = trace();
+        follow(&mut trace, &[TICK_HANDLER, AWAKE[0], AWAKE[1], SLEEP]);
+        follow(&mut trace, &[CAN, AWAKE[0], AWAKE[1], SLEEP]);
+        follow(&mut trace, &[TICK_HANDLER, AWAKE[0], AWAKE[1], SLEEP]);
+        assert_eq!(trace.counts.idle_turn, [3, 3]);
+    }
+
+    #[test]
+    fn a_reply_counts_from_its_last_interrupt_to_the_first_byte() {
+        let mut trace = trace();
+        follow(&mut trace, &[CAN, AWAKE[0], AWAKE[1], SLEEP]);
+        // the tick does not count; an instruction that is told of twice counts once
+        follow(&mut trace, &[CAN, AWAKE[0], TICK_HANDLER, AWAKE[1], HOST[0], CALLED[0], CALLED[0]]);
+        follow(&mut trace, &[HOST_DATA_WRITTEN, CALLED[1], HOST_DATA_WRITTEN, HOST[1]]);
+        assert_eq!(trace.counts.reply["CAN1_RX0"], [5]);
     }
 }
