@@ -195,7 +195,8 @@ mod tests {
     fn what_is_allowed_meanwhile_has_a_limit_and_is_beyond_it() {
         for (place, subject, what, most) in MEANWHILE {
             let mut limits = LIMITS.iter();
-            let limit = limits.find(|limit| (limit.place, limit.subject, limit.what) == (*place, *subject, *what));
+            let limit =
+                limits.find(|limit| (limit.place, limit.subject, limit.what) == (*place, *subject, *what));
             let limit = limit.expect("a figure with a limit");
             let at = |figure| Verdict { limit, figure };
             assert!(!at(*most).holds() && at(*most).is_tolerated() && !at(most + 1.0).is_tolerated());
