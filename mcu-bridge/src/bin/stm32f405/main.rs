@@ -99,12 +99,13 @@ mod app {
         can_queue: Queue<Received, CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let device = cx.device;
+        let mut device = cx.device;
         let mut core = cx.core;
         let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
-        let (mut rcc, crystal) = clocks::start(device.RCC);
-        time::start(&device.TIM5, &mut core.SYST, &mut rcc);
+        let clocks = clocks::start(&device.RCC, &device.FLASH);
+        let rcc = &mut device.RCC;
+        time::start(&device.TIM5, &mut core.SYST, rcc, &clocks);
         let mut clock = Clock::default();
         watchdog.stretch();
         let mut store = Store::new(Sectors::new(device.FLASH), 0).ok();
@@ -112,17 +113,17 @@ mod app {
         let readable = restore(engine, store.as_mut(), clock.now());
         watchdog.relax();
 
-        pins::start(&mut rcc);
-        let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
-        let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, &mut rcc, time::micros());
+        pins::start(rcc);
+        let outputs = Outputs::start(device.DAC, device.TIM3, rcc);
+        let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, rcc, time::micros());
 
-        USART1::enable(&mut rcc);
-        USART1::reset(&mut rcc);
-        USART2::enable(&mut rcc);
-        USART2::reset(&mut rcc);
-        USART3::enable(&mut rcc);
-        USART3::reset(&mut rcc);
-        let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
+        USART1::enable(rcc);
+        USART1::reset(rcc);
+        USART2::enable(rcc);
+        USART2::reset(rcc);
+        USART3::enable(rcc);
+        USART3::reset(rcc);
+        let (pclk1, pclk2) = (clocks.pclk1_hz, clocks.pclk2_hz);
         let [second, third] = cx.local.buses;
         let (in1, main1) = cx.local.host.split();
         let ((in2, main2), (in3, main3)) = (second.split(), third.split());
@@ -141,14 +142,14 @@ mod app {
             line(Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
         ];
 
-        CAN1::enable(&mut rcc);
-        CAN1::reset(&mut rcc);
+        CAN1::enable(rcc);
+        CAN1::reset(rcc);
         let can_port = engine.port(Port::Can);
         let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
         let (frames_in, frames) = cx.local.can_queue.split();
 
         engine.set_health(Health {
-            internal_oscillator: !crystal,
+            internal_oscillator: !clocks.crystal,
             no_can: can.is_none(),
             defaulted: !readable,
         });
