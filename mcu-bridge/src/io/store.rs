@@ -85,13 +85,11 @@ impl<F: MultiwriteNorFlash> Store<F> {
     pub fn load(&mut self) -> Result<Option<Settings>, Unreadable> {
         let mut buffer = [0; BUFFER];
         match self.newest(&mut buffer) {
-            Some(Newest { number, sector }) => {
-                self.find(sector, Some(number), 0, &mut buffer).ok_or(Unreadable)?;
-                let stored = buffer.get(NUMBER..ENTRY).and_then(Settings::decode);
-                stored.map(Some).ok_or(Unreadable)
+            Some(Newest { number, sector }) if self.find(sector, Some(number), 0, &mut buffer).is_some() => {
+                decode(&buffer)
             }
             None if self.is_blank(Sector::First) && self.is_blank(Sector::Second) => Ok(None),
-            None => Err(Unreadable),
+            _ => Err(Unreadable),
         }
     }
 
@@ -162,7 +160,6 @@ impl<F: MultiwriteNorFlash> Store<F> {
     }
 
     /// Appends an entry to a sector; tells whether it is there afterwards, or has no room.
-    #[inline(never)]
     fn append(
         &mut self,
         sector: Sector,
@@ -174,11 +171,18 @@ impl<F: MultiwriteNorFlash> Store<F> {
         let (head, body) = entry.split_first_chunk_mut().ok_or(StoreError)?;
         *head = number.to_le_bytes();
         body.copy_from_slice(stored);
+        // the one before it stays readable, should this one be damaged one day
+        Ok(self.push(sector, entry)?
+            && self.find(sector, Some(number), number.saturating_sub(1), buffer).is_some()
+            && buffer.get(NUMBER..ENTRY) == Some(stored.as_slice()))
+    }
+
+    /// Writes an entry to a sector; tells whether there was room.
+    #[inline(never)]
+    fn push(&mut self, sector: Sector, entry: &[u8]) -> Result<bool, StoreError> {
         let mut log = self.log(sector).map_err(|_| StoreError)?;
         match block_on(log.push(entry, false)) {
-            // the one before it stays readable, should this one be damaged one day
-            Ok(()) => Ok(self.find(sector, Some(number), number.saturating_sub(1), buffer).is_some()
-                && buffer.get(NUMBER..ENTRY) == Some(stored.as_slice())),
+            Ok(()) => Ok(true),
             Err(Error::Storage { .. }) => Err(StoreError),
             Err(_) => Ok(false),
         }
@@ -206,6 +210,12 @@ impl<F: MultiwriteNorFlash> Store<F> {
     fn log(&mut self, sector: Sector) -> Result<Log<'_, F>, QueueConfigError> {
         log(&mut self.flash, sector_range::<F>(self.start, sector))
     }
+}
+
+/// The settings in an entry. What it needs of the stack is in use only while it runs.
+#[inline(never)]
+fn decode(entry: &[u8; BUFFER]) -> Result<Option<Settings>, Unreadable> {
+    entry.get(NUMBER..ENTRY).and_then(Settings::decode).map(Some).ok_or(Unreadable)
 }
 
 fn log<F: MultiwriteNorFlash>(flash: &mut F, range: Range<u32>) -> Result<Log<'_, F>, QueueConfigError> {

@@ -148,31 +148,45 @@ pub fn completed(can: &RegisterBlock) -> Completed {
     completed
 }
 
-/// What FIFO 0 had to offer.
-pub enum Received {
-    /// A frame.
-    Frame(Frame),
-    /// A frame that no controller should pass on.
-    Strange,
+/// A frame as it waits for the main loop, in few bytes.
+pub struct Received {
+    /// The identifier register; the filter lets nothing pass whose highest four bits are set, so the data length code
+    /// takes their place.
+    head: u32,
+    data: [u32; 2],
+    /// When it came, the low half of the microseconds since boot.
+    pub micros: u32,
+}
+
+impl Received {
+    /// The frame; `None` for one that no controller should pass on.
+    pub fn frame(&self) -> Option<Frame> {
+        let [low, high] = self.data;
+        let ([a, b, c, d], [e, f, g, h]) = (low.to_le_bytes(), high.to_le_bytes());
+        let identifier = self.head & 0x0FFF_FFFF;
+        let id = match identifier & ir::EXTENDED {
+            0 => Id::Standard((identifier >> 21) as u16),
+            _ => Id::Extended(identifier >> 3),
+        };
+        let remote = identifier & ir::REMOTE != 0;
+        Frame::from_wire(id, remote, (self.head >> 28) as u8, [a, b, c, d, e, f, g, h]).ok()
+    }
 }
 
 /// The oldest frame of FIFO 0, which makes room for another.
-pub fn receive(can: &RegisterBlock) -> Option<Received> {
+pub fn receive(can: &RegisterBlock, micros: u32) -> Option<Received> {
     if can.rf0r().read().fmp().bits() == 0 {
         return None;
     }
     let mailbox = can.rx(0);
-    let (identifier, length) = (mailbox.rir().read().bits(), mailbox.rdtr().read().dlc().bits());
-    let ([a, b, c, d], [e, f, g, h]) =
-        (mailbox.rdlr().read().bits().to_le_bytes(), mailbox.rdhr().read().bits().to_le_bytes());
-    can.rf0r().write(|w| w.rfom().set_bit());
-    let id = match identifier & ir::EXTENDED {
-        0 => Id::Standard((identifier >> 21) as u16),
-        _ => Id::Extended(identifier >> 3),
+    let length = u32::from(mailbox.rdtr().read().dlc().bits());
+    let received = Received {
+        head: mailbox.rir().read().bits() & 0x0FFF_FFFF | length << 28,
+        data: [mailbox.rdlr().read().bits(), mailbox.rdhr().read().bits()],
+        micros,
     };
-    let remote = identifier & ir::REMOTE != 0;
-    let frame = Frame::from_wire(id, remote, length, [a, b, c, d, e, f, g, h]);
-    Some(frame.map_or(Received::Strange, Received::Frame))
+    can.rf0r().write(|w| w.rfom().set_bit());
+    Some(received)
 }
 
 /// Whether FIFO 0 lost a frame since it was asked last.

@@ -1,7 +1,7 @@
 //! Every number that this board fixes, in one place.
 
-/// Crystal, in Hz.
-pub const CRYSTAL_HZ: u32 = 8_000_000;
+/// Internal oscillator, in Hz.
+pub const OSCILLATOR_HZ: u32 = 16_000_000;
 
 /// Core clock from the PLL, in Hz.
 pub const CORE_HZ: u32 = 168_000_000;

@@ -34,11 +34,10 @@ mod app {
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, Settings};
+    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, STORED_LENGTH};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
     use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
-    use jointbus_protocol::can::Frame;
     use jointbus_protocol::time::Instant;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
     use stm32f4xx_hal::rcc::{Enable, Reset};
@@ -89,47 +88,47 @@ mod app {
         /// `None` where the controller does not answer.
         can: Option<u32>,
         store: Option<Store<Sectors>>,
-        frames_in: Producer<'static, (Frame, u32)>,
-        frames: Consumer<'static, (Frame, u32)>,
+        frames_in: Producer<'static, Received>,
+        frames: Consumer<'static, Received>,
     }
 
     #[init(local = [
         place: MaybeUninit<Engine> = MaybeUninit::uninit(),
         host: Queues<INCOMING> = Queues::new(),
         buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
-        can_queue: Queue<(Frame, u32), CAN_INCOMING> = Queue::new(),
+        can_queue: Queue<Received, CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let device = cx.device;
+        let mut device = cx.device;
         let mut core = cx.core;
         let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
-        let (mut rcc, crystal) = clocks::start(device.RCC);
-        time::start(&device.TIM5, &mut core.SYST, &mut rcc);
+        let clocks = clocks::start(&device.RCC, &device.FLASH);
+        let rcc = &mut device.RCC;
+        time::start(&device.TIM5, &mut core.SYST, rcc, &clocks);
         let mut clock = Clock::default();
         watchdog.stretch();
         let mut store = Store::new(Sectors::new(device.FLASH), 0).ok();
-        let mut settings = Settings::default();
-        let readable = load(store.as_mut(), &mut settings);
+        let engine = make_engine(cx.local.place, reset_cause, clock.now());
+        let readable = restore(engine, store.as_mut(), clock.now());
         watchdog.relax();
-        let network = &settings.network;
 
-        pins::start(&mut rcc);
-        let outputs = Outputs::start(device.DAC, device.TIM3, &mut rcc);
-        let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, &mut rcc, time::micros());
+        pins::start(rcc);
+        let outputs = Outputs::start(device.DAC, device.TIM3, rcc);
+        let inputs = Inputs::start(device.ADC1, &device.ADC_COMMON, rcc, time::micros());
 
-        USART1::enable(&mut rcc);
-        USART1::reset(&mut rcc);
-        USART2::enable(&mut rcc);
-        USART2::reset(&mut rcc);
-        USART3::enable(&mut rcc);
-        USART3::reset(&mut rcc);
-        let (pclk1, pclk2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
+        USART1::enable(rcc);
+        USART1::reset(rcc);
+        USART2::enable(rcc);
+        USART2::reset(rcc);
+        USART3::enable(rcc);
+        USART3::reset(rcc);
+        let (pclk1, pclk2) = (clocks.pclk1_hz, clocks.pclk2_hz);
         let [second, third] = cx.local.buses;
         let (in1, main1) = cx.local.host.split();
         let ((in2, main2), (in3, main3)) = (second.split(), third.split());
         let line = |port, part, queues, interrupt, usart, bus_hz| {
-            uart::configure(usart, bus_hz, network.port(port));
+            uart::configure(usart, bus_hz, engine.port(port));
             Line { port, part, queues, interrupt, usart, bus_hz }
         };
         let (usart1, usart2, usart3) =
@@ -143,15 +142,14 @@ mod app {
             line(Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
         ];
 
-        CAN1::enable(&mut rcc);
-        CAN1::reset(&mut rcc);
-        let can_port = network.port(Port::Can);
+        CAN1::enable(rcc);
+        CAN1::reset(rcc);
+        let can_port = engine.port(Port::Can);
         let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
         let (frames_in, frames) = cx.local.can_queue.split();
 
-        let engine = make_engine(cx.local.place, &settings, reset_cause, clock.now());
         engine.set_health(Health {
-            internal_oscillator: !crystal,
+            internal_oscillator: !clocks.crystal,
             no_can: can.is_none(),
             defaulted: !readable,
         });
@@ -242,24 +240,9 @@ mod app {
 
     // these are never inlined: what they need of the stack is to be in use only while they run
 
-    /// Puts what is stored into `settings`, if anything is; tells whether the store is readable.
-    #[inline(never)]
-    fn load(store: Option<&mut Store<Sectors>>, settings: &mut Settings) -> bool {
-        match store.map_or(Err(Unreadable), Store::load) {
-            Ok(stored) => {
-                if let Some(stored) = stored {
-                    *settings = stored;
-                }
-                true
-            }
-            Err(Unreadable) => false,
-        }
-    }
-
     #[inline(never)]
     fn make_engine(
         place: &'static mut MaybeUninit<Engine>,
-        settings: &Settings,
         reset_cause: ResetCause,
         now: Instant,
     ) -> &'static mut Engine {
@@ -270,9 +253,21 @@ mod app {
         ]
         .map(|part| part.parse().unwrap_or(0));
         let identity = Identity { version, reset_cause };
-        let engine = place.write(Engine::new(identity, now));
-        engine.restore(settings, now);
-        engine
+        place.write(Engine::new(identity, now))
+    }
+
+    /// Gives the engine what is stored, if anything is; tells whether the store is readable.
+    #[inline(never)]
+    fn restore(engine: &mut Engine, store: Option<&mut Store<Sectors>>, now: Instant) -> bool {
+        let stored = store.map_or(Err(Unreadable), Store::load);
+        if let Ok(Some(settings)) = &stored {
+            engine.restore(settings, now);
+            // the ports are about to be started with them
+            for port in Port::ALL {
+                let _ = engine.take_port_change(port);
+            }
+        }
+        stored.is_ok()
     }
 
     #[inline(never)]
@@ -282,7 +277,8 @@ mod app {
 
     #[inline(never)]
     fn save(engine: &mut Engine, store: &mut Option<Store<Sectors>>, watchdog: &mut Watchdog) {
-        if let Some(settings) = engine.take_save() {
+        let mut settings = [0; STORED_LENGTH];
+        if take_save(engine, &mut settings) {
             watchdog.stretch();
             let stored = store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
             watchdog.relax();
@@ -290,8 +286,17 @@ mod app {
         }
     }
 
+    /// Whether there is something to be saved, which then is in `settings`.
     #[inline(never)]
-    fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, (Frame, u32)>, now: Instant) {
+    fn take_save(engine: &mut Engine, settings: &mut [u8; STORED_LENGTH]) -> bool {
+        engine.take_save().is_some_and(|taken| {
+            *settings = taken;
+            true
+        })
+    }
+
+    #[inline(never)]
+    fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, Received>, now: Instant) {
         report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
             engine.transmit_error();
@@ -303,10 +308,13 @@ mod app {
             engine.overrun(Port::Can);
         }
         for _ in 0..CAN_INCOMING {
-            let Some((frame, micros)) = frames.dequeue() else { break };
+            let Some(received) = frames.dequeue() else { break };
             // once more: a reply counts only after the request that it answers, and both may have come just now
             report_sent(engine, now);
-            engine.receive_frame(&frame, recent(now, micros));
+            match received.frame() {
+                Some(frame) => engine.receive_frame(&frame, recent(now, received.micros)),
+                None => engine.receive_error(Port::Can),
+            }
         }
     }
 
@@ -359,16 +367,9 @@ mod app {
         }
         // the FIFO holds three
         for _ in 0..3 {
-            match bxcan::receive(can()) {
-                Some(Received::Frame(frame)) => {
-                    if cx.local.frames_in.enqueue((frame, micros)).is_err() {
-                        CAN_REPORTS.overrun.store(true, Ordering::Relaxed);
-                    }
-                }
-                Some(Received::Strange) => {
-                    CAN_REPORTS.receive_errors.fetch_add(1, Ordering::Relaxed);
-                }
-                None => break,
+            let Some(received) = bxcan::receive(can(), micros) else { break };
+            if cx.local.frames_in.enqueue(received).is_err() {
+                CAN_REPORTS.overrun.store(true, Ordering::Relaxed);
             }
         }
     }

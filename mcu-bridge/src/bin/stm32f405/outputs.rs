@@ -4,7 +4,7 @@
 
 use crate::constants::{OUTPUT_OFF, OUTPUT_STEPS};
 use crate::pins::Port;
-use jointbus_protocol::nxi6201::{Channel, Settings};
+use jointbus_protocol::nxi6201::{CHANNELS, Channel, Settings};
 use stm32f4xx_hal::pac::{DAC, RCC, TIM3};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 
@@ -12,7 +12,7 @@ use stm32f4xx_hal::rcc::{Enable, Reset};
 pub struct Outputs {
     dac: DAC,
     timer: TIM3,
-    applied: Settings,
+    applied: [Channel; CHANNELS],
 }
 
 impl Outputs {
@@ -29,8 +29,9 @@ impl Outputs {
             timer.ccmr1_output().write(|w| w.bits(0x6868));
             timer.ccer().write(|w| w.bits(0x0011));
         }
-        let mut outputs = Self { dac, timer, applied: Settings::default() };
-        outputs.drive(&Settings::default());
+        let off = Settings::default().channels;
+        let mut outputs = Self { dac, timer, applied: off };
+        outputs.drive(&off);
         outputs.dac.cr().modify(|_, w| w.en1().set_bit().en2().set_bit());
         outputs.timer.cr1().modify(|_, w| w.arpe().set_bit().cen().set_bit());
         outputs
@@ -38,13 +39,13 @@ impl Outputs {
 
     /// Drives the outputs where they are to change.
     pub fn apply(&mut self, settings: &Settings) {
-        if self.applied.channels != settings.channels {
-            self.drive(settings);
+        if self.applied != settings.channels {
+            self.drive(&settings.channels);
         }
     }
 
-    fn drive(&mut self, settings: &Settings) {
-        let [a, b, c, d] = settings.channels.map(|channel| steps(&channel));
+    fn drive(&mut self, channels: &[Channel; CHANNELS]) {
+        let [a, b, c, d] = channels.map(|channel| steps(&channel));
         // SAFETY: steps are within 12 bits
         unsafe {
             // both DAC channels change together
@@ -52,7 +53,7 @@ impl Outputs {
             self.timer.ccr1().write(|w| w.bits(c));
             self.timer.ccr2().write(|w| w.bits(d));
         }
-        self.applied = *settings;
+        self.applied = *channels;
     }
 }
 

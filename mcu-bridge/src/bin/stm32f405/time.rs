@@ -1,21 +1,22 @@
 //! Microseconds since boot, from timer 5, whose counter one load reads; and the tick that wakes the main loop.
 
+use crate::clocks::Clocks;
 use crate::constants::TICK_US;
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
 use jointbus_protocol::time::Instant;
-use stm32f4xx_hal::pac::TIM5;
-use stm32f4xx_hal::rcc::{Enable, Rcc, Reset};
+use stm32f4xx_hal::pac::{RCC, TIM5};
+use stm32f4xx_hal::rcc::{Enable, Reset};
 
 /// What the last tick saw.
 static LAST: AtomicU32 = AtomicU32::new(0);
 
 /// Starts the counter and the tick.
-pub fn start(timer: &TIM5, syst: &mut SYST, rcc: &mut Rcc) {
+pub fn start(timer: &TIM5, syst: &mut SYST, rcc: &mut RCC, clocks: &Clocks) {
     TIM5::enable(rcc);
     TIM5::reset(rcc);
-    let divider = (rcc.clocks.timclk1().raw() / 1_000_000).max(1);
+    let divider = (clocks.timclk1_hz / 1_000_000).max(1);
     // SAFETY: any value is a prescaler, and all of the 32 bits a period
     unsafe {
         timer.psc().write(|w| w.psc().bits((divider - 1) as u16));
@@ -25,7 +26,7 @@ pub fn start(timer: &TIM5, syst: &mut SYST, rcc: &mut Rcc) {
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
 
-    let cycles = (rcc.clocks.sysclk().raw() / 1_000_000).max(1);
+    let cycles = (clocks.core_hz / 1_000_000).max(1);
     syst.set_clock_source(SystClkSource::Core);
     syst.set_reload(cycles * TICK_US - 1);
     syst.clear_current();
