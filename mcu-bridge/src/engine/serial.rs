@@ -166,7 +166,10 @@ impl SerialBus {
                 (Heard::Owed(index, content), _) => {
                     count(&mut around.counters.foreign_or_late);
                     // a copy follows at once
-                    let length = if self.is_ascii { 2 } else { 1 } * content.len().saturating_add(4);
+                    let mut length = content.len().saturating_add(4);
+                    if self.is_ascii {
+                        length = length.saturating_mul(2);
+                    }
                     let copy = around.port.characters(length).plus(around.port.pause());
                     self.backlog.settle(index, content, copy, now, around);
                 }
