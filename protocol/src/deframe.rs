@@ -73,14 +73,14 @@ pub const STRAY_MAX: usize = 4;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
+    /// The last event has been handed out; the next byte starts afresh.
+    Delivered,
     /// Collecting a frame; its length, or the part of it that tells the length, is so many bytes.
     Frame(usize),
     /// Collecting a frame that only silence ends.
     Open,
     /// Waiting for silence.
     Spoilt(Fault),
-    /// The last event has been handed out; the next byte starts afresh.
-    Delivered,
 }
 
 /// The slave's side of a line: takes a frame when it is complete and right, and after anything wrong drops all
@@ -108,7 +108,7 @@ impl<const N: usize> BurstDeframer<N> {
             buffer: [0; N],
             used: 0,
             overflow: false,
-            state: State::Frame(1),
+            state: State::Delivered,
             silence,
             last: Instant::from_micros(0),
         }

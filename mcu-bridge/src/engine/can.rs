@@ -2,7 +2,7 @@
 
 use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
-use super::transaction::{Expected, Request, Surroundings, Transaction};
+use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
@@ -73,7 +73,7 @@ struct Part {
 #[derive(Debug)]
 pub(super) struct CanBus {
     backlog: Backlog,
-    flight: Option<Flight>,
+    flight: Lane<Flight>,
     /// The transfer under way.
     body: Vec<u8, { can::TRANSFER_MAX }>,
     reassembler: Reassembler<CONTEXTS>,
@@ -86,17 +86,25 @@ pub(super) struct CanBus {
 }
 
 impl CanBus {
-    pub(super) const fn new(node: u8) -> Self {
+    /// The bus before its start, in zeros.
+    pub(super) const fn new() -> Self {
         Self {
             backlog: Backlog::new(),
-            flight: None,
+            flight: Lane::Free,
             body: Vec::new(),
-            reassembler: Reassembler::new(node, FRAME_PAUSE),
-            node,
+            reassembler: Reassembler::new(0, Duration::ZERO),
+            node: 0,
             outstanding: 0,
             quirks: 0,
-            back_off: BackOff { next: SHORTEST, restart: None, is_off: false },
+            back_off: BackOff { next: Duration::ZERO, restart: None, is_off: false },
         }
+    }
+
+    #[inline(never)] // what it needs of the stack is not needed elsewhere
+    pub(super) fn start(&mut self, node: u8) {
+        self.node = node;
+        self.reassembler = Reassembler::new(node, FRAME_PAUSE);
+        self.back_off.next = SHORTEST;
     }
 
     pub(super) const fn is_off(&self) -> bool {
@@ -253,7 +261,7 @@ impl CanBus {
     #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         self.backlog.owed.expire(now);
-        if let Some(flight) = &mut self.flight {
+        if let Some(flight) = self.flight.as_mut() {
             match flight.phase {
                 Phase::Sending { handed, limit } if now >= limit => {
                     flight.phase = Phase::Aborting { handed };
@@ -299,13 +307,13 @@ impl CanBus {
             let content = self.backlog.content(transaction.place);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
-                    self.flight = Some(Flight { transaction, phase: Phase::Ready, moved: 0, part });
+                    self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, moved: 0, part });
                 }
                 // what was judged at the door always has a first part
                 None => transaction.end(None, &mut self.backlog, around),
             }
         }
-        let Some(flight) = &mut self.flight else { return };
+        let Some(flight) = self.flight.as_mut() else { return };
         if flight.phase == Phase::Ready && self.outstanding == 0 && !self.backlog.owed.is_full() {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
@@ -320,7 +328,7 @@ impl CanBus {
     }
 
     fn check_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        let Some(flight) = &mut self.flight else { return };
+        let Some(flight) = self.flight.as_mut() else { return };
         let (Phase::Sending { handed, .. } | Phase::Aborting { handed }) = flight.phase else { return };
         if self.outstanding > 0 {
             return;
@@ -356,7 +364,7 @@ impl CanBus {
 
     /// The transfer was not sent in time; of the first part nothing has been carried out.
     fn not_sent(&mut self, around: &mut Surroundings<'_>) {
-        let Some(flight) = &self.flight else { return };
+        let Some(flight) = self.flight.as_ref() else { return };
         match (flight.moved, flight.transaction.unanswered, flight.phase) {
             (0, 0, _) => count(&mut around.counters.expired),
             // the attempt before has been counted, and this one was none
@@ -368,7 +376,7 @@ impl CanBus {
     }
 
     fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        let Some(flight) = &mut self.flight else { return };
+        let Some(flight) = self.flight.as_mut() else { return };
         if flight.transaction.time_out(now, around) {
             flight.phase = Phase::Ready;
         } else {

@@ -344,6 +344,26 @@ impl Default for Network {
 }
 
 impl Network {
+    /// No ports and no routes, in zeros.
+    pub(super) const ZERO: Self = {
+        let port =
+            PortConfig { rate: 0, parity: Parity::None, stop_bits: 0, gap_100us: 0, node: 0, echo: false };
+        let route = Route {
+            first_unit: 0,
+            last_unit: 0,
+            bus: Bus::Rs485A,
+            protocol: Protocol::ModbusRtu,
+            first_remote: 0,
+            read_timeout_ms: 0,
+            write_timeout_ms: 0,
+            read_retries: 0,
+            time_to_live_ms: 0,
+            hold_off_ms: 0,
+            refuse_writes: false,
+        };
+        Self { ports: [port; 4], routes: [route; ROUTES] }
+    };
+
     /// Ports and routes that nobody has changed.
     pub const DEFAULT: Self = {
         let mut routes = [Route::UNUSED; ROUTES];
@@ -426,6 +446,10 @@ impl Default for Limits {
 }
 
 impl Limits {
+    /// None, in zeros.
+    pub(super) const ZERO: Self =
+        Self { quarantine_after: 0, probe_period_ms: 0, host_silence_ms: 0, burst_silence_100us: 0 };
+
     /// Limits that nobody has changed.
     pub const DEFAULT: Self =
         Self { quarantine_after: 3, probe_period_ms: 1000, host_silence_ms: 0, burst_silence_100us: 200 };

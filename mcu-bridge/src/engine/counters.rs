@@ -30,6 +30,22 @@ pub struct Counters {
 }
 
 impl Counters {
+    /// Nothing has been counted.
+    pub const ZERO: Self = Self {
+        received: 0,
+        sent: 0,
+        checksum_errors: 0,
+        dropped_bursts: 0,
+        timeouts: 0,
+        retries: 0,
+        foreign_or_late: 0,
+        overruns: 0,
+        expired: 0,
+        refused: 0,
+        bus_off: 0,
+        transmit_errors: 0,
+    };
+
     /// The counters in the order of their registers.
     #[must_use]
     pub const fn in_order(&self) -> [u32; 12] {

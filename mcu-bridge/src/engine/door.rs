@@ -7,7 +7,7 @@ use super::host::HostFormat;
 use super::listener::Spelling;
 use super::quarantine::Admission;
 use super::transaction::{Expected, Request};
-use super::{Core, Engine};
+use super::{Change, Core, Engine};
 use jointbus_protocol::deframe::{Event, Fault, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
@@ -39,9 +39,8 @@ impl Engine {
 impl Core {
     /// Makes the change that a request has asked for. Here and not where it was asked for, which is deeper in the stack.
     fn make_change(&mut self, now: Instant) {
-        if let Some(change) = self.change.take() {
-            self.change(change, now);
-        }
+        let change = core::mem::replace(&mut self.change, Change::None);
+        self.change(change, now);
     }
 
     fn take(&mut self, event: &Event<'_>, now: Instant) {

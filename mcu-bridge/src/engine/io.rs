@@ -10,12 +10,16 @@ use jointbus_protocol::nxi6201;
 pub(super) type Analog = [u16; LOCAL_IO.analog_inputs as usize];
 
 /// The board's own outputs: the firmware looks at the registers when they were written.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct LocalOutputs {
     is_changed: bool,
 }
 
 impl LocalOutputs {
+    pub(super) const fn new() -> Self {
+        Self { is_changed: false }
+    }
+
     pub(super) const fn take_change(&mut self) -> bool {
         core::mem::replace(&mut self.is_changed, false)
     }
@@ -31,13 +35,20 @@ impl nxi6201::Hardware for LocalOutputs {
 }
 
 /// The module. What the board has not told, or can't, fails; an output never does.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct LocalIo {
     /// Digital inputs, DI0 in bit 0.
     pub(super) inputs: Option<u16>,
     /// Digital outputs, DO0 in bit 0.
     pub(super) outputs: u16,
     pub(super) analog: Option<Analog>,
+}
+
+impl LocalIo {
+    /// Nothing is known yet: unit 40 answers exception 04 instead of a value that nobody measured.
+    pub(super) const fn new() -> Self {
+        Self { inputs: None, outputs: 0, analog: None }
+    }
 }
 
 impl Module for LocalIo {

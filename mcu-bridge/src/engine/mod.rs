@@ -43,6 +43,8 @@ pub const LOCAL_IO: Layout =
 /// What becomes of ports and routes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Change {
+    /// Nothing is to be changed.
+    None,
     /// The staged ones go live.
     Apply,
     /// The confirmed ones go live, and are staged.
@@ -70,11 +72,11 @@ struct Core {
     confirm_until: Option<Instant>,
     limits: Limits,
     command: Option<Command>,
-    saving: Option<Saving>,
+    saving: Saving,
     /// Ports whose settings changed and whose owner has not been told.
     changed_ports: [bool; 4],
-    /// A change that is to be made once its request has been answered.
-    change: Option<Change>,
+    /// To be made once its request has been answered.
+    change: Change,
     output: Output,
     counters: [Counters; 4],
     reply_times: [ReplyTime; ROUTES],
@@ -89,56 +91,114 @@ struct Core {
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
     /// Nothing has come since [`Engine::poll`] looked, and nothing is due before this.
-    idle: Option<Idle>,
+    idle: Idle,
 }
 
 /// Until when there is nothing to do.
 #[derive(Debug, Clone, Copy)]
 enum Idle {
+    /// Something came, or may be due.
+    Never,
     Until(Instant),
     Forever,
 }
 
+/// Memory for an [`Engine`] that has not started. It is all zeros: a static one lies in `.bss` and takes no flash, and
+/// nothing of the engine is ever on the stack.
+#[derive(Debug)]
+pub struct Place(Engine);
+
+impl Default for Place {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Place {
+    /// The memory.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(Engine {
+            host: HostDeframer::new(Duration::ZERO),
+            core: Core {
+                identity: Identity { version: [0; 3], reset_cause: ResetCause::PowerOn },
+                health: Health { internal_oscillator: false, no_can: false, defaulted: false },
+                live: Network::ZERO,
+                staged: Network::ZERO,
+                confirmed: Network::ZERO,
+                confirm_until: None,
+                limits: Limits::ZERO,
+                command: None,
+                saving: Saving::No,
+                changed_ports: [false; 4],
+                change: Change::None,
+                output: Output::new(),
+                counters: [Counters::ZERO; 4],
+                reply_times: [ReplyTime::NONE; ROUTES],
+                diagnostics: Diagnostics::ZERO,
+                quarantine: Quarantine::new(),
+                polling: Polling::new(),
+                rs485_a: SerialBus::new(),
+                rs485_b: SerialBus::new(),
+                can: CanBus::new(),
+                outputs: nxi6201::Card::resume(LocalOutputs::new(), NO_OUTPUTS),
+                io: LocalIo::new(),
+                last_request: None,
+                idle: Idle::Never,
+            },
+        })
+    }
+
+    /// The bridge, with the default settings: see [`Engine::restore`].
+    pub fn start(&'static mut self, identity: Identity, now: Instant) -> &'static mut Engine {
+        self.0.start(identity, now);
+        &mut self.0
+    }
+}
+
+/// Registers of the board's outputs before the start, in zeros.
+const NO_OUTPUTS: nxi6201::Settings = {
+    let channel = nxi6201::Channel {
+        range: nxi6201::OutputRange::Volts5,
+        set_value: 0.0,
+        output: false,
+        start_enable: 0,
+        start_range: nxi6201::OutputRange::Volts5,
+        start_value: 0.0,
+        external: nxi6201::External::Off,
+    };
+    nxi6201::Settings { channels: [channel; nxi6201::CHANNELS], can_bit_rate: 0, can_id: 0, keep: false }
+};
+
 impl Engine {
-    /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`].
+    /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`]. Where memory is scarce,
+    /// [`Place`] does the same without a copy.
     #[must_use]
     pub fn new(identity: Identity, now: Instant) -> Self {
-        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::default(), &nxi6201::Settings::default());
-        Self {
-            host: HostDeframer::new(Limits::DEFAULT.burst_silence()),
-            core: Core {
-                identity,
-                health: Health::default(),
-                live: Network::DEFAULT,
-                staged: Network::DEFAULT,
-                confirmed: Network::DEFAULT,
-                confirm_until: None,
-                limits: Limits::DEFAULT,
-                command: None,
-                saving: None,
-                changed_ports: [false; 4],
-                change: None,
-                output: Output::new(),
-                counters: [Counters::default(); 4],
-                reply_times: [ReplyTime::default(); ROUTES],
-                diagnostics: Diagnostics::default(),
-                quarantine: Quarantine::default(),
-                polling: Polling::new(),
-                rs485_a: SerialBus::new(now),
-                rs485_b: SerialBus::new(now),
-                can: CanBus::new(Network::DEFAULT.port(Port::Can).node),
-                outputs,
-                // until the board has told its inputs, unit 40 answers exception 04 instead of a value nobody measured
-                io: LocalIo::default(),
-                last_request: Some(now),
-                idle: None,
-            },
+        let Place(mut engine) = Place::new();
+        engine.start(identity, now);
+        engine
+    }
+
+    fn start(&mut self, identity: Identity, now: Instant) {
+        let Self { host, core } = self;
+        host.set_silence(Limits::DEFAULT.burst_silence());
+        core.identity = identity;
+        core.limits = Limits::DEFAULT;
+        for network in [&mut core.live, &mut core.staged, &mut core.confirmed] {
+            *network = Network::DEFAULT;
         }
+        core.can.start(Network::DEFAULT.port(Port::Can).node);
+        let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::new(), &nxi6201::Settings::default());
+        core.outputs = outputs;
+        core.last_request = Some(now);
+        core.rs485_a.start(now);
+        core.rs485_b.start(now);
     }
 
     /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.
     pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         match port {
             Port::Host => self.receive_host(bytes, now),
             Port::Rs485A => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
@@ -170,7 +230,7 @@ impl Engine {
         if taken == 0 {
             return;
         }
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         match port {
             Port::Host => self.core.output.consume(taken),
             Port::Rs485A => self.core.rs485_a.consume(taken),
@@ -181,13 +241,13 @@ impl Engine {
 
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
     pub fn transmitted(&mut self, port: Port, now: Instant) {
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         self.core.on_serial(port, |bus, around| bus.transmitted(now, around));
     }
 
     /// Takes a frame that the CAN port received and that ended at `now`.
     pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         let (can, mut around) = self.core.can_parts();
         can.receive(frame, now, &mut around);
     }
@@ -199,7 +259,7 @@ impl Engine {
 
     /// A frame that the CAN port took was acknowledged on the bus.
     pub fn frame_sent(&mut self, now: Instant) {
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         let (can, mut around) = self.core.can_parts();
         can.frame_sent(now, &mut around);
     }
@@ -212,7 +272,7 @@ impl Engine {
 
     /// The CAN port has no frame to send any more.
     pub fn frames_aborted(&mut self, now: Instant) {
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         let (can, mut around) = self.core.can_parts();
         can.aborted(now, &mut around);
     }
@@ -235,7 +295,7 @@ impl Engine {
         if bus_off == self.core.can.is_off() {
             return;
         }
-        self.core.idle = None;
+        self.core.idle = Idle::Never;
         let (can, mut around) = self.core.can_parts();
         can.set_off(bus_off, now, &mut around);
     }
@@ -319,9 +379,9 @@ impl Engine {
     /// Does what is due at `now`; where nothing has come since the last time, and nothing is due, that is at once done.
     pub fn poll(&mut self, now: Instant) {
         match self.core.idle {
-            Some(Idle::Forever) => return,
-            Some(Idle::Until(until)) if now < until => return,
-            _ => {}
+            Idle::Forever => return,
+            Idle::Until(until) if now < until => return,
+            Idle::Never | Idle::Until(_) => {}
         }
         self.core.roll_back(now);
         self.core.host_silence(now);
@@ -332,7 +392,7 @@ impl Engine {
         }
         let (can, mut around) = self.core.can_parts();
         can.poll(now, &mut around);
-        self.core.idle = Some(self.idle());
+        self.core.idle = self.idle();
     }
 
     #[inline(never)] // what it needs of the stack is not needed beside what is done
@@ -368,6 +428,7 @@ impl Core {
     fn change(&mut self, change: Change, now: Instant) {
         let Self { live, staged, confirmed, quarantine, changed_ports, .. } = self;
         let next = match change {
+            Change::None => return,
             Change::Defaults => {
                 *staged = Network::default();
                 return;

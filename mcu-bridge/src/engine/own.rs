@@ -4,7 +4,7 @@ use super::config::Limits;
 use super::counters::Counters;
 use super::polling::Slot;
 use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
-use super::{Change, Core, Engine};
+use super::{Change, Core, Engine, Idle};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
@@ -73,12 +73,14 @@ pub enum Command {
 }
 
 /// A save that the host waits for.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Saving {
-    /// Unit under which it was asked for.
-    unit: u8,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Saving {
+    /// There is none.
+    No,
+    /// Asked for under this unit.
+    Asked(u8),
     /// What is to be stored has been handed out.
-    taken: bool,
+    Taken(u8),
 }
 
 /// Commands at holding register 0.
@@ -95,12 +97,16 @@ mod command {
 const INPUT_LAST: u16 = 0x02FF;
 
 /// What function code 08 counts beside the host port's counters.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Diagnostics {
     /// Requests to the bridge itself.
     requests: u16,
     /// Exceptions with which it answered.
     exceptions: u16,
+}
+
+impl Diagnostics {
+    pub(super) const ZERO: Self = Self { requests: 0, exceptions: 0 };
 }
 
 /// The bridge's registers, at one moment.
@@ -198,7 +204,7 @@ impl Core {
     #[inline(never)] // its buffer is not for the other local units
     pub(super) fn serve_own(&mut self, unit: u8, pdu: &[u8], now: Instant) {
         self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
-        let was_saving = self.saving.is_some();
+        let was_saving = self.saving != Saving::No;
         let mut response = [0; PDU_MAX];
         let Ok(response) = server::respond(&mut Own { core: self, now }, pdu, &mut response) else {
             return;
@@ -206,8 +212,10 @@ impl Core {
         if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {
             self.diagnostics.exceptions = self.diagnostics.exceptions.wrapping_add(1);
         }
-        if let Some(saving) = self.saving.as_mut().filter(|_| !was_saving) {
-            saving.unit = unit;
+        if let Saving::Asked(asked) = &mut self.saving
+            && !was_saving
+        {
+            *asked = unit;
             return;
         }
         let [counters, ..] = &mut self.counters;
@@ -215,8 +223,8 @@ impl Core {
     }
 
     fn clear_counters(&mut self) {
-        self.counters = Default::default();
-        self.diagnostics = Diagnostics::default();
+        self.counters = [Counters::ZERO; 4];
+        self.diagnostics = Diagnostics::ZERO;
     }
 
     fn input(&self, address: u16, now: Instant) -> u16 {
@@ -330,17 +338,17 @@ impl Core {
                     return Err(ExceptionCode::IllegalDataValue);
                 }
                 self.confirm_until = Some(now.after(CONFIRM_WITHIN));
-                self.change = Some(Change::Apply);
+                self.change = Change::Apply;
             }
             command::CONFIRM => {
                 self.confirm_until = None;
                 self.confirmed = self.live;
             }
             // answered when it is done
-            command::SAVE if self.saving.is_some() => return Err(ExceptionCode::ServerDeviceBusy),
-            command::SAVE => self.saving = Some(Saving { unit: 0, taken: false }),
+            command::SAVE if self.saving != Saving::No => return Err(ExceptionCode::ServerDeviceBusy),
+            command::SAVE => self.saving = Saving::Asked(0),
             command::DEFAULTS => {
-                self.change = Some(Change::Defaults);
+                self.change = Change::Defaults;
                 self.limits = Limits::default();
                 self.polling.clear();
             }
@@ -365,7 +373,7 @@ impl Engine {
     #[inline(never)] // what it needs of the stack is not needed beside the engine's first state
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
         let Self { core, .. } = self;
-        core.idle = None;
+        core.idle = Idle::Never;
         core.confirmed = settings.network;
         core.limits = settings.limits;
         core.set_slots(&SlotSettings::default(), &settings.slots, now);
@@ -375,8 +383,8 @@ impl Engine {
     /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
     pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
         let Self { core, .. } = self;
-        let Some(Saving { taken: false, unit }) = core.saving else { return None };
-        core.saving = Some(Saving { taken: true, unit });
+        let Saving::Asked(unit) = core.saving else { return None };
+        core.saving = Saving::Taken(unit);
         let (slots, mut stored) = (core.slots(), [0; STORED_LENGTH]);
         Holding { network: &core.confirmed, ..core.holding(&slots) }.encode(&mut stored);
         Some(stored)
@@ -385,7 +393,8 @@ impl Engine {
     /// Whether what was to be stored is stored: the host gets its answer.
     pub fn saved(&mut self, stored: bool) {
         let Self { core, .. } = self;
-        let Some(Saving { unit, .. }) = core.saving.take() else { return };
+        let Saving::Taken(unit) = core.saving else { return };
+        core.saving = Saving::No;
         let function = FunctionCode::WriteSingleRegister.code();
         let [counters, ..] = &mut core.counters;
         if stored {

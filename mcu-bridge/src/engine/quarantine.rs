@@ -46,10 +46,14 @@ pub(super) enum Admission {
 }
 
 /// The devices that don't answer, by the unit that the host sees.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Quarantine(Vec<Device, TROUBLED>);
 
 impl Quarantine {
+    pub(super) const fn new() -> Self {
+        Self(Vec::new())
+    }
+
     /// A device has answered.
     pub(super) fn answered(&mut self, unit: u8) {
         self.0.retain(|device| device.unit != unit);
@@ -113,8 +117,7 @@ mod tests {
 
     #[test]
     fn three_in_a_row_and_one_answer() {
-        let (mut quarantine, limits, network) =
-            (Quarantine::default(), Limits::default(), Network::default());
+        let (mut quarantine, limits, network) = (Quarantine::new(), Limits::default(), Network::default());
         let (_, route) = network.route(33).unwrap();
         for count in 1..=3 {
             assert_eq!(quarantine.admit(33, false, &limits, at(0)), Admission::Normal);
@@ -143,7 +146,7 @@ mod tests {
 
     #[test]
     fn zero_means_never() {
-        let (mut quarantine, mut limits) = (Quarantine::default(), Limits::default());
+        let (mut quarantine, mut limits) = (Quarantine::new(), Limits::default());
         limits.quarantine_after = 0;
         for _ in 0..300 {
             quarantine.unanswered(33, &limits, at(0));
@@ -153,7 +156,7 @@ mod tests {
 
     #[test]
     fn more_devices_than_there_is_room_for_go_their_way() {
-        let (mut quarantine, limits) = (Quarantine::default(), Limits::default());
+        let (mut quarantine, limits) = (Quarantine::new(), Limits::default());
         for unit in 0..=u8::MAX {
             (0..3).for_each(|_| quarantine.unanswered(unit, &limits, at(0)));
         }

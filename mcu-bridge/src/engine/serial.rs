@@ -5,7 +5,7 @@ use super::config::PortConfig;
 use super::counters::count;
 use super::host::FRAME_MAX;
 use super::listener::{Heard, Listener, Outgoing, Wanted, wire_byte, wire_length};
-use super::transaction::{Expected, Request, Surroundings, Transaction};
+use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// A port that has not told the end of a transmission so long after the time on the wire is broken.
@@ -55,7 +55,7 @@ impl Echo {
 #[derive(Debug)]
 pub(super) struct SerialBus {
     backlog: Backlog,
-    flight: Option<Flight>,
+    flight: Lane<Flight>,
     listener: Listener,
     /// Whether requests go out as Modbus ASCII.
     is_ascii: bool,
@@ -64,9 +64,19 @@ pub(super) struct SerialBus {
 }
 
 impl SerialBus {
-    /// A bus that speaks RTU or NST.
-    pub(super) const fn new(now: Instant) -> Self {
-        Self { backlog: Backlog::new(), flight: None, listener: Listener::new(), is_ascii: false, busy: now }
+    /// A bus that speaks RTU or NST, before its start, in zeros.
+    pub(super) const fn new() -> Self {
+        Self {
+            backlog: Backlog::new(),
+            flight: Lane::Free,
+            listener: Listener::new(),
+            is_ascii: false,
+            busy: Instant::from_micros(0),
+        }
+    }
+
+    pub(super) const fn start(&mut self, now: Instant) {
+        self.busy = now;
     }
 
     /// Takes a request.
@@ -89,7 +99,7 @@ impl SerialBus {
 
     /// What the port is to send.
     pub(super) fn pending(&self) -> &[u8] {
-        match &self.flight {
+        match self.flight.as_ref() {
             Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) => {
                 outgoing.pending(self.backlog.content(transaction.place))
             }
@@ -99,7 +109,8 @@ impl SerialBus {
 
     /// The port took so many of the pending bytes.
     pub(super) fn consume(&mut self, taken: usize) {
-        if let Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) = &mut self.flight {
+        if let Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) = self.flight.as_mut()
+        {
             outgoing.consume(self.backlog.content(transaction.place), taken);
         }
     }
@@ -109,7 +120,7 @@ impl SerialBus {
         if !self.pending().is_empty() {
             return;
         }
-        let Some(flight) = &mut self.flight else { return };
+        let Some(flight) = self.flight.as_mut() else { return };
         let Phase::Sending { .. } = flight.phase else { return };
         self.busy = now;
         count(&mut around.counters.sent);
@@ -131,14 +142,14 @@ impl SerialBus {
     /// Takes bytes from the line, the last of which ended at `now`.
     pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, around: &mut Surroundings<'_>) {
         self.busy = now;
-        if let Some(flight) = &mut self.flight
+        if let Some(flight) = self.flight.as_mut()
             && around.port.echo
             && !matches!(flight.phase, Phase::Ready)
         {
             let content = self.backlog.content(flight.transaction.place);
             flight.echo.take(|index| wire_byte(self.is_ascii, content, index), &mut bytes);
         }
-        if matches!(&self.flight, Some(Flight { phase: Phase::Sending { .. }, .. })) {
+        if matches!(self.flight.as_ref(), Some(Flight { phase: Phase::Sending { .. }, .. })) {
             return;
         }
         loop {
@@ -227,14 +238,12 @@ impl SerialBus {
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
     fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if self.flight.is_none() {
-            self.flight = self.backlog.next(now, around).map(|transaction| Flight {
-                transaction,
-                phase: Phase::Ready,
-                echo: Echo::default(),
-            });
+        if self.flight.is_none()
+            && let Some(transaction) = self.backlog.next(now, around)
+        {
+            self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, echo: Echo::default() });
         }
-        if let Some(flight) = &mut self.flight
+        if let Some(flight) = self.flight.as_mut()
             && matches!(flight.phase, Phase::Ready)
             && now >= self.busy.after(around.port.gap())
         {
@@ -251,7 +260,7 @@ impl SerialBus {
 
     /// Drops a request that the line had no silence for in time.
     fn expire_ready(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        let Some(Flight { transaction, phase: Phase::Ready, .. }) = &self.flight else { return };
+        let Some(Flight { transaction, phase: Phase::Ready, .. }) = self.flight.as_ref() else { return };
         if now >= transaction.request.expires {
             if transaction.unanswered == 0 {
                 count(&mut around.counters.expired);
@@ -264,7 +273,7 @@ impl SerialBus {
     fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         self.discard(around);
         self.count_collision(around);
-        let Some(flight) = &mut self.flight else { return };
+        let Some(flight) = self.flight.as_mut() else { return };
         if flight.transaction.time_out(now, around) {
             flight.phase = Phase::Ready;
         } else {
@@ -274,7 +283,7 @@ impl SerialBus {
 
     /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
     fn count_collision(&self, around: &mut Surroundings<'_>) {
-        let Some(Flight { transaction, echo, .. }) = &self.flight else { return };
+        let Some(Flight { transaction, echo, .. }) = self.flight.as_ref() else { return };
         let length = wire_length(self.is_ascii, self.backlog.content(transaction.place));
         if around.port.echo && (echo.collided || echo.heard < length) {
             count(&mut around.counters.transmit_errors);
@@ -282,7 +291,7 @@ impl SerialBus {
     }
 
     fn finish(&mut self, around: &mut Surroundings<'_>) {
-        if matches!(&self.flight, Some(flight) if flight.transaction.request.expected.is_none()) {
+        if matches!(self.flight.as_ref(), Some(flight) if flight.transaction.request.expected.is_none()) {
             self.count_collision(around);
         }
         if let Some(flight) = self.flight.take() {
@@ -304,7 +313,8 @@ impl SerialBus {
         if !self.is_open_reply() || now < self.busy.after(around.port.pause()) {
             return;
         }
-        let Some(Flight { transaction, phase: Phase::Waiting { sent, .. }, .. }) = &self.flight else {
+        let Some(Flight { transaction, phase: Phase::Waiting { sent, .. }, .. }) = self.flight.as_ref()
+        else {
             return;
         };
         let Some(expected) = &transaction.request.expected else { return };

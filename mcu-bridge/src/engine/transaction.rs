@@ -246,6 +246,42 @@ impl Transaction {
     }
 }
 
+/// The one place of a bus for what is in flight: an `Option` that is all zeros while it is empty (see
+/// [`Place`](super::Place)), which one with a niche is not.
+#[derive(Debug)]
+#[repr(u8)]
+pub(super) enum Lane<T> {
+    Free,
+    Taken(T),
+}
+
+impl<T> Lane<T> {
+    pub(super) const fn as_ref(&self) -> Option<&T> {
+        match self {
+            Self::Free => None,
+            Self::Taken(flight) => Some(flight),
+        }
+    }
+
+    pub(super) const fn as_mut(&mut self) -> Option<&mut T> {
+        match self {
+            Self::Free => None,
+            Self::Taken(flight) => Some(flight),
+        }
+    }
+
+    pub(super) const fn is_none(&self) -> bool {
+        matches!(self, Self::Free)
+    }
+
+    pub(super) fn take(&mut self) -> Option<T> {
+        match core::mem::replace(self, Self::Free) {
+            Self::Free => None,
+            Self::Taken(flight) => Some(flight),
+        }
+    }
+}
+
 /// Where replies go.
 pub(super) struct HostSide<'a> {
     pub(super) output: &'a mut Output,
@@ -257,6 +293,11 @@ pub(super) struct HostSide<'a> {
 pub(super) struct ReplyTime {
     pub(super) last: Span,
     pub(super) largest: Span,
+}
+
+impl ReplyTime {
+    /// None has answered.
+    pub(super) const NONE: Self = Self { last: Span(0), largest: Span(0) };
 }
 
 /// What a bus may touch beside itself.

@@ -54,6 +54,12 @@ impl<H: Hardware> Card<H> {
         Ok(Self { hardware, settings, inputs: [false; CHANNELS] })
     }
 
+    /// A card whose outputs already are as its settings say: nothing is committed.
+    #[must_use]
+    pub const fn resume(hardware: H, settings: Settings) -> Self {
+        Self { hardware, settings, inputs: [false; CHANNELS] }
+    }
+
     /// The registers.
     #[must_use]
     pub const fn settings(&self) -> &Settings {

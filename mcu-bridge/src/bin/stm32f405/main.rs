@@ -30,11 +30,10 @@ mod app {
     use crate::uart::{self, Registers, Uart};
     use crate::watchdog::Watchdog;
     use crate::{clocks, pins, reset};
-    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, ResetCause, STORED_LENGTH};
+    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, Place, ResetCause, STORED_LENGTH};
     use jointbus_mcu_bridge::io::alive::{Marks, Part};
     use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
@@ -57,6 +56,19 @@ mod app {
         receive_errors: AtomicU32::new(0),
         overrun: AtomicBool::new(false),
     };
+
+    const VERSION: [u16; 3] = [
+        number(env!("CARGO_PKG_VERSION_MAJOR")),
+        number(env!("CARGO_PKG_VERSION_MINOR")),
+        number(env!("CARGO_PKG_VERSION_PATCH")),
+    ];
+
+    const fn number(part: &str) -> u16 {
+        match u16::from_str_radix(part, 10) {
+            Ok(number) => number,
+            Err(_) => 0,
+        }
+    }
 
     /// What has advanced since the watchdog was fed.
     static MARKS: Marks = Marks::new();
@@ -93,7 +105,7 @@ mod app {
     }
 
     #[init(local = [
-        place: MaybeUninit<Engine> = MaybeUninit::uninit(),
+        place: Place = Place::new(),
         host: Queues<INCOMING> = Queues::new(),
         buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
         can_queue: Queue<Received, CAN_INCOMING> = Queue::new(),
@@ -241,19 +253,9 @@ mod app {
     // these are never inlined: what they need of the stack is to be in use only while they run
 
     #[inline(never)]
-    fn make_engine(
-        place: &'static mut MaybeUninit<Engine>,
-        reset_cause: ResetCause,
-        now: Instant,
-    ) -> &'static mut Engine {
-        let version = [
-            env!("CARGO_PKG_VERSION_MAJOR"),
-            env!("CARGO_PKG_VERSION_MINOR"),
-            env!("CARGO_PKG_VERSION_PATCH"),
-        ]
-        .map(|part| part.parse().unwrap_or(0));
-        let identity = Identity { version, reset_cause };
-        place.write(Engine::new(identity, now))
+    fn make_engine(place: &'static mut Place, reset_cause: ResetCause, now: Instant) -> &'static mut Engine {
+        let identity = Identity { version: VERSION, reset_cause };
+        place.start(identity, now)
     }
 
     /// Gives the engine what is stored, if anything is; tells whether the store is readable.
