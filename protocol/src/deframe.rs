@@ -7,7 +7,6 @@
 
 use crate::time::{Duration, Instant};
 use crate::wire;
-use core::cell::Cell;
 
 /// What the first bytes of a frame tell about its length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -329,10 +328,7 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
     fn slide(&mut self, lengths: &[usize; L]) {
         let tried = lengths.iter().zip(self.next).filter(|(length, _)| **length > 0);
         let done = tried.map(|(_, next)| next).min().filter(|done| *done > 0).unwrap_or(self.used);
-        // `copy_within` checks its range once more and keeps a panic for it; cells may overlap
-        let cells = Cell::from_mut(self.buffer.as_mut_slice()).as_slice_of_cells();
-        let kept = cells.iter().take(self.used).skip(done);
-        cells.iter().zip(kept).for_each(|(to, from)| to.set(from.get()));
+        wire::close_gap(self.buffer.get_mut(..self.used).unwrap_or_default(), done);
         self.used = self.used.saturating_sub(done);
         self.next = self.next.map(|next| next.saturating_sub(done));
     }

@@ -1,6 +1,7 @@
 //! Bounded reader and writer: the one place of this crate that touches raw offsets.
 
 use crate::error::error_text;
+use core::cell::Cell;
 
 /// The input ended before the value did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -169,6 +170,14 @@ pub(crate) fn copy(from: &[u8], to: &mut [u8]) {
     }
 }
 
+/// Moves the bytes behind the first `gap` to the front; `gap` bytes of what they leave stay at the end.
+///
+/// A loop a byte: `copy_within` keeps a panic, and brings the whole `memmove` into the image for a move as rare as this.
+pub fn close_gap(bytes: &mut [u8], gap: usize) {
+    let cells = Cell::from_mut(bytes).as_slice_of_cells();
+    cells.iter().zip(cells.iter().skip(gap)).for_each(|(to, from)| to.set(from.get()));
+}
+
 error_text! {
     Truncated {
         Truncated => ("the input ends before the value does"),
@@ -184,6 +193,17 @@ error_text! {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_gap_is_closed_whatever_its_length() {
+        for gap in 0..6 {
+            let mut bytes = [1, 2, 3, 4];
+            close_gap(&mut bytes, gap);
+            let mut expected = [1, 2, 3, 4];
+            expected.copy_within(gap.min(4).., 0);
+            assert_eq!(bytes, expected);
+        }
+    }
 
     #[test]
     fn reads_until_the_end_and_consumes_nothing_past_it() {

@@ -224,8 +224,12 @@ impl Queue {
             }
             chosen = chosen.or(Some(index));
         }
-        // the index was found in the same queue a moment ago
-        chosen.filter(|index| *index < self.0.len()).map(|index| self.0.remove(index))
+        let chosen = chosen?;
+        let waiting = self.0.get(chosen).copied();
+        // `remove` would bring `memmove` into the image
+        let mut indices = 0..;
+        self.0.retain(|_| indices.next() != Some(chosen));
+        waiting
     }
 
     /// When the first request expires.

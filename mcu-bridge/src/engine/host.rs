@@ -5,7 +5,7 @@ use super::counters::{Counters, count};
 use heapless::Vec;
 use jointbus_protocol::deframe::{BurstDeframer, Format, FrameLength, STRAY_MAX};
 use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
-use jointbus_protocol::{checksum, nst};
+use jointbus_protocol::{checksum, nst, wire};
 
 /// Longest frame of the host: NST and Modbus agree.
 pub(super) const FRAME_MAX: usize = rtu::FRAME_MAX;
@@ -98,7 +98,7 @@ impl Output {
     pub(super) fn relay(&mut self, counters: &mut Counters, unit: u8, content: &[u8]) {
         if OUTPUT.saturating_sub(self.buffer.len()) <= FRAME_MAX && self.start > 0 {
             let left = self.pending().len();
-            self.buffer.copy_within(self.start.., 0);
+            wire::close_gap(&mut self.buffer, self.start);
             self.buffer.truncate(left);
             self.start = 0;
         }
