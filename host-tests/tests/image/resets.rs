@@ -69,6 +69,20 @@ fn a_port_that_sends_nothing_any_more_is_noticed_by_the_watchdog() {
 }
 
 #[test]
+fn interrupts_keep_no_floating_point_registers() {
+    /// Automatic and lazy keeping, as they are after a reset.
+    const FPCCR: u32 = 0xE000_EF34;
+    const KEEPING: u32 = 0b11 << 30;
+    let (options, debugger) = debuggable(Options { paused: true, ..options() });
+    let emulator = Emulator::launch(&options).unwrap();
+    assert_eq!(load(debugger, FPCCR) & KEEPING, KEEPING, "before the first instruction");
+    let bench = Bench::with(Bridge::Emulated(Box::new(emulator)), Clock::default()).unwrap();
+    let mut client = bench.client().unwrap();
+    bridge::about(&mut client).unwrap();
+    assert_eq!(load(debugger, FPCCR) & KEEPING, 0);
+}
+
+#[test]
 fn no_request_uses_more_stack_than_there_is() {
     const PAINT: u8 = 0xA5;
     let (options, debugger) = debuggable(Options { paused: true, ..options() });
@@ -115,24 +129,47 @@ fn set_register(debugger: SocketAddr, register: u8, value: u32) {
 
 /// Has the processor store a word, because the debugger's port reaches no registers of peripherals.
 fn store(debugger: SocketAddr, address: u32, value: u32) {
-    // at the end of the stack, which is not in use
-    const PLACE: u32 = STACK;
+    copy(debugger, SCRATCH, address, value);
+}
+
+/// Has the processor load a word, for the same reason.
+fn load(debugger: SocketAddr, address: u32) -> u32 {
+    /// No register that is asked for has it.
+    const NOT_YET: u32 = 0x6E6F_7421;
+    copy(debugger, address, SCRATCH, NOT_YET);
+    let mut value = NOT_YET;
+    until(|| {
+        let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+        value = u32::from_le_bytes(stopped.read(SCRATCH, 4).unwrap().try_into().unwrap());
+        stopped.resume().unwrap();
+        value != NOT_YET
+    });
+    value
+}
+
+/// A word at the end of the stack, which is not in use.
+const SCRATCH: u32 = STACK;
+
+/// Puts a value into the scratch word, and then has the processor copy a word.
+fn copy(debugger: SocketAddr, from: u32, to: u32, scratch: u32) {
+    const PLACE: u32 = SCRATCH + 4;
     let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
     let back = stopped.register(Debugger::PC).unwrap();
     let code: [u16; 8] = [
         0xB403, // push {r0, r1}
-        0x4803, // ldr r0, the value
-        0x4903, // ldr r1, the address
+        0x4803, // ldr r0, the address that it comes from
+        0x6800, // ldr r0, [r0]
+        0x4903, // ldr r1, the address that it goes to
         0x6008, // str r0, [r1]
         0xBC03, // pop {r0, r1}
-        0xF8DF, 0xF00C, // ldr pc, the way back
-        0xBF00, // nop
+        0xF8DF, 0xF008, // ldr pc, the way back
     ];
-    let mut bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
-    for word in [value, address, back | 1] {
+    let mut bytes = scratch.to_le_bytes().to_vec();
+    bytes.extend(code.iter().flat_map(|half| half.to_le_bytes()));
+    for word in [from, to, back | 1] {
         bytes.extend(word.to_le_bytes());
     }
-    stopped.write(PLACE, &bytes).unwrap();
+    stopped.write(SCRATCH, &bytes).unwrap();
     stopped.set_register(Debugger::PC, PLACE).unwrap();
     stopped.resume().unwrap();
 }

@@ -1,7 +1,8 @@
 //! What a function's machine code does to the stack: how deep it goes by itself, and how deep it is where it calls.
 //!
-//! Every path through the function is followed, with the stack pointer counted along. Whatever cannot be followed is
-//! an error: an unknown change of the stack pointer, an unknown jump, a stack that grows in a loop.
+//! Every path through the function is followed, with the stack pointer counted along, and with it whether interrupts are
+//! masked for certain. Whatever cannot be followed is an error: an unknown change of the stack pointer, an unknown jump,
+//! a stack that grows in a loop.
 
 use std::collections::BTreeMap;
 
@@ -30,15 +31,28 @@ pub(super) struct Code<'data> {
     pub(super) kinds: &'data [(u32, bool)],
 }
 
+/// Whether an interrupt may come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Interrupts {
+    /// It may, or nobody knows.
+    Open,
+    /// PRIMASK is set for certain.
+    Masked,
+}
+
 /// What a function does.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Summary {
-    /// Bytes that it takes by itself.
-    pub(super) frame: u32,
-    /// Whom it calls, and the bytes that it has taken then.
-    pub(super) calls: Vec<(Callee, u32)>,
+    /// Bytes that it takes by itself while interrupts are open, if they ever are.
+    pub(super) open: Option<u32>,
+    /// The same while they are masked.
+    pub(super) masked: Option<u32>,
+    /// Whom it calls, the bytes that it has taken then, and whether interrupts are masked.
+    pub(super) calls: Vec<(Callee, u32, Interrupts)>,
     /// Whether it uses the floating-point unit.
     pub(super) float: bool,
+    /// Whether it may end the masking of interrupts by itself.
+    pub(super) unmasks: bool,
 }
 
 /// What is called.
@@ -58,6 +72,16 @@ struct Step {
     pushes: i32,
     flow: Flow,
     float: bool,
+    mask: Mask,
+}
+
+/// What becomes of the masking of interrupts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Mask {
+    Stays,
+    Set,
+    /// Or is given a value that nobody knows.
+    Cleared,
 }
 
 /// Where it goes on.
@@ -80,25 +104,36 @@ enum Flow {
     End,
 }
 
-/// Follows every path.
-pub(super) fn summary(code: Code<'_>) -> Result<Summary> {
+/// Follows every path of a function that is entered like this; `unmasks` tells of a callee whether it may end the
+/// masking of interrupts.
+pub(super) fn summary(
+    code: Code<'_>,
+    entry: Interrupts,
+    mut unmasks: impl FnMut(Callee) -> Result<bool>,
+) -> Result<Summary> {
     let mut summary = Summary::default();
-    // depth before each instruction, and how many instructions from it on have a condition
-    let mut known: BTreeMap<u32, (u32, u32)> = BTreeMap::new();
-    let mut open = vec![(code.start, 0u32, 0u32)];
-    while let Some((address, depth, conditions)) = open.pop() {
+    // depth before each instruction
+    let mut known: BTreeMap<(u32, Interrupts), u32> = BTreeMap::new();
+    // and how many instructions from it on have a condition
+    let mut open = vec![(code.start, 0u32, 0u32, entry)];
+    while let Some((address, depth, conditions, interrupts)) = open.pop() {
         ensure!(depth < ABSURD, "the stack grows in a loop at {address:#x}");
-        match known.get_mut(&address) {
-            Some((seen, _)) if *seen >= depth => continue,
-            Some((seen, _)) => *seen = depth,
-            None => drop(known.insert(address, (depth, conditions))),
+        match known.get_mut(&(address, interrupts)) {
+            Some(seen) if *seen >= depth => continue,
+            Some(seen) => *seen = depth,
+            None => drop(known.insert((address, interrupts), depth)),
         }
         let step = decode(code, address)?;
         summary.float |= step.float;
+        summary.unmasks |= step.mask == Mask::Cleared;
         let after = depth
             .checked_add_signed(step.pushes)
             .with_context(|| format!("more is popped than was pushed at {address:#x}"))?;
-        summary.frame = summary.frame.max(after);
+        let frame = match interrupts {
+            Interrupts::Open => &mut summary.open,
+            Interrupts::Masked => &mut summary.masked,
+        };
+        *frame = (*frame).max(Some(after));
         let next = address + step.length;
         let is_conditional = conditions > 0;
         let left = conditions.saturating_sub(1);
@@ -107,13 +142,19 @@ pub(super) fn summary(code: Code<'_>) -> Result<Summary> {
             !is_conditional || step.pushes == 0 || step.flow == Flow::End,
             "the stack changes under a condition at {address:#x}"
         );
-        let mut go = |to: u32, depth: u32, conditions: u32| open.push((to, depth, conditions));
+        let behind = match step.mask {
+            // under a condition it may not come to that
+            Mask::Set if !is_conditional => Interrupts::Masked,
+            Mask::Cleared => Interrupts::Open,
+            Mask::Set | Mask::Stays => interrupts,
+        };
+        let mut go = |to: u32, depth: u32, conditions: u32| open.push((to, depth, conditions, behind));
         match step.flow {
             Flow::Next => go(next, after, left),
             Flow::Conditions(count) => go(next, after, count),
             Flow::Jump(to) | Flow::Branch(to) if !code.contains(to) => {
                 // the last thing that a function does may be to jump to another one
-                summary.calls.push((Callee::At(to), after));
+                summary.calls.push((Callee::At(to), after, interrupts));
                 if matches!(step.flow, Flow::Branch(_)) || is_conditional {
                     go(next, after, left);
                 }
@@ -129,15 +170,16 @@ pub(super) fn summary(code: Code<'_>) -> Result<Summary> {
                 go(next, after, left);
             }
             Flow::Call(callee) => {
-                summary.calls.push((callee, after));
+                summary.calls.push((callee, after, interrupts));
+                let back = if unmasks(callee)? { Interrupts::Open } else { interrupts };
                 // behind the call of a function that does not return there may be nothing, or data after a filler
-                let behind = if code.half(next) == Some(NOP) { next + 2 } else { next };
-                if code.contains(behind) && code.is_code(behind) {
-                    go(next, after, left);
+                let place = if code.half(next) == Some(NOP) { next + 2 } else { next };
+                if code.contains(place) && code.is_code(place) {
+                    open.push((next, after, left, back));
                 }
             }
             Flow::Leave => {
-                summary.calls.push((Callee::Unknown, after));
+                summary.calls.push((Callee::Unknown, after, interrupts));
                 if is_conditional {
                     go(next, after, left);
                 }
@@ -229,9 +271,23 @@ fn decode(code: Code<'_>, address: u32) -> Result<Step> {
         .decode(&mut U8Reader::new(bytes))
         .map_err(|error| anyhow::anyhow!("no instruction at {address:#x}: {error:?}"))?;
     let length = if instruction.wide { 4 } else { 2 };
+    let mask = mask(first, second);
     let flow = flow(&instruction, address).with_context(|| format!("{instruction} at {address:#x}"))?;
     let pushes = pushes(&instruction).with_context(|| format!("{instruction} at {address:#x}"))?;
-    Ok(Step { length, pushes, flow, float: false })
+    Ok(Step { length, pushes, flow, float: false, mask })
+}
+
+/// What an instruction does to PRIMASK: CPSID and CPSIE, and MSR, which may write anything (ARMv7-M reference manual,
+/// B5.2.1 and B5.2.3).
+fn mask(first: u32, second: Option<u32>) -> Mask {
+    const PRIMASK: u32 = 16;
+    match (first, second) {
+        // the second bit stands for PRIMASK, the first one for FAULTMASK
+        (0xB672 | 0xB673, _) => Mask::Set,
+        (0xB662 | 0xB663, _) => Mask::Cleared,
+        (0xF380..=0xF38F, Some(second)) if second & 0xFF == PRIMASK => Mask::Cleared,
+        _ => Mask::Stays,
+    }
 }
 
 /// An instruction of a coprocessor: the floating-point unit's push and pop, or one that leaves the stack pointer
@@ -252,7 +308,7 @@ fn coprocessor(first: u32, second: u32) -> Result<Step> {
             0
         }
     };
-    Ok(Step { length: 4, pushes, flow: Flow::Next, float })
+    Ok(Step { length: 4, pushes, flow: Flow::Next, float, mask: Mask::Stays })
 }
 
 fn flow(instruction: &Instruction, address: u32) -> Result<Flow> {
@@ -358,7 +414,13 @@ mod tests {
 
     fn summary_with(halves: &[u16], kinds: &[(u32, bool)]) -> Result<Summary> {
         let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
-        summary(Code { start: START, bytes: &bytes, kinds })
+        summary(Code { start: START, bytes: &bytes, kinds }, Interrupts::Open, |_| Ok(false))
+    }
+
+    /// What a function takes that calls nobody while interrupts are masked.
+    fn open(frame: u32, calls: Vec<(Callee, u32)>) -> Summary {
+        let calls = calls.into_iter().map(|(callee, depth)| (callee, depth, Interrupts::Open)).collect();
+        Summary { open: Some(frame), calls, ..Summary::default() }
     }
 
     #[test]
@@ -375,7 +437,7 @@ mod tests {
         ])
         .unwrap();
         let calls = vec![(Callee::Unknown, 48), (Callee::At(START + 0x102), 24)];
-        assert_eq!(found, Summary { frame: 48, calls, float: false });
+        assert_eq!(found, open(48, calls));
     }
 
     #[test]
@@ -387,7 +449,7 @@ mod tests {
             0x4770, // bx lr
         ])
         .unwrap();
-        assert_eq!(found, Summary { frame: 8, calls: vec![], float: false });
+        assert_eq!(found, open(8, vec![]));
     }
 
     #[test]
@@ -418,7 +480,7 @@ mod tests {
             0xBD10, // pop {r4, pc}
         ])
         .unwrap();
-        assert_eq!(found.frame, 12);
+        assert_eq!(found.open, Some(12));
     }
 
     #[test]
@@ -433,13 +495,13 @@ mod tests {
             &[(START + 4, false), (START + 6, true)],
         )
         .unwrap();
-        assert_eq!(found.frame, 16);
+        assert_eq!(found.open, Some(16));
     }
 
     #[test]
     fn floating_point_registers_are_pushed() {
         let found = summary_of(&[0xED2D, 0x8B04, 0xECBD, 0x8B04, 0x4770]).unwrap();
-        assert_eq!(found, Summary { frame: 16, calls: vec![], float: true });
+        assert_eq!(found, Summary { float: true, ..open(16, vec![]) });
     }
 
     #[test]
@@ -447,14 +509,48 @@ mod tests {
         // bl start + 0x102, a nop, and what is no instruction
         let halves = [0xF000, 0xF87F, 0xBF00, 0xE800, 0x0000];
         let found = summary_with(&halves, &[(START, true), (START + 6, false)]).unwrap();
-        assert_eq!(found.calls, [(Callee::At(START + 0x102), 0)]);
+        assert_eq!(found.calls, [(Callee::At(START + 0x102), 0, Interrupts::Open)]);
         assert!(summary_of(&halves).is_err());
     }
 
     #[test]
     fn a_jump_to_another_function_is_a_call_of_it() {
         let found = summary_of(&[0xE07E]).unwrap();
-        assert_eq!(found.calls, [(Callee::At(START + 0x100), 0)]);
+        assert_eq!(found.calls, [(Callee::At(START + 0x100), 0, Interrupts::Open)]);
+    }
+
+    #[test]
+    fn what_is_taken_while_interrupts_are_masked_is_told_apart() {
+        let masked = |end: &[u16]| {
+            // push {r4, lr}; cpsid i; sub sp, #16; bl start + 0x106; add sp, #16; the end; push {r0}; pop {r0}; pop
+            let mut halves = vec![0xB510, 0xB672, 0xB084, 0xF000, 0xF87E, 0xB004];
+            halves.extend([end, &[0xB401, 0xBC01, 0xBD10]].concat());
+            summary_of(&halves).unwrap()
+        };
+        let callee = Callee::At(START + 0x106);
+        for end in [&[0xB662][..], &[0xF384, 0x8810]] {
+            // cpsie i; msr primask, r4
+            let found = masked(end);
+            assert_eq!((found.open, found.masked, found.unmasks), (Some(12), Some(24), true));
+            assert_eq!(found.calls, [(callee, 24, Interrupts::Masked)]);
+        }
+        let found = masked(&[0xF384, 0x8811]);
+        assert_eq!((found.open, found.masked), (Some(8), Some(24)), "msr basepri, r4");
+    }
+
+    #[test]
+    fn a_callee_may_end_the_masking() {
+        // cpsid i; bl start + 0x102; push {r0}; pop {r0}; bx lr
+        let bytes: Vec<u8> = [0xB672u16, 0xF000, 0xF87E, 0xB401, 0xBC01, 0x4770]
+            .iter()
+            .flat_map(|half| half.to_le_bytes())
+            .collect();
+        let code = Code { start: START, bytes: &bytes, kinds: &[] };
+        let found = |unmasks: bool| summary(code, Interrupts::Open, |_| Ok(unmasks)).unwrap();
+        assert_eq!((found(true).open, found(true).masked), (Some(4), Some(0)));
+        assert_eq!((found(false).open, found(false).masked), (Some(0), Some(4)));
+        let masked = summary(code, Interrupts::Masked, |_| Ok(false)).unwrap();
+        assert_eq!((masked.open, masked.masked), (None, Some(4)));
     }
 
     #[test]

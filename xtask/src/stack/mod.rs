@@ -1,8 +1,9 @@
 //! The worst-case stack of an image, worked out from its machine code: no run has to meet the worst case to see it.
 //!
 //! [`code`] tells of each function how deep it goes and whom it calls. The worst case is the deepest chain of calls
-//! from the reset on, and on top of it one exception frame and the deepest handler of every interrupt priority. A call
-//! through a pointer counts as the deepest function whose address is anywhere in the image. Recursion is an error.
+//! from the reset on while interrupts are open, and on top of it one exception frame and the deepest handler of every
+//! interrupt priority; or the deepest chain while they are masked, if that is deeper. A call through a pointer counts as
+//! the deepest function whose address is anywhere in the image. Recursion is an error.
 
 mod code;
 
@@ -14,12 +15,15 @@ use object::read::elf::ElfFile32;
 use object::{LittleEndian, Object as _, ObjectSection as _, ObjectSymbol as _, SectionKind, SymbolKind};
 use rustc_demangle::demangle;
 
-use self::code::{Callee, Code, Summary};
+use self::code::{Callee, Code, Interrupts, Summary};
 
-/// What the processor pushes for an exception: eight registers, with the floating-point unit's 26, and a word where
-/// the stack has to be aligned (ARMv7-M reference manual, B1.5.6 and B1.5.7).
+/// What the processor pushes for an exception: eight registers, and a word where the stack has to be aligned (ARMv7-M
+/// reference manual, B1.5.6 and B1.5.7). The firmware has it keep no floating-point registers, which a test of the image
+/// sees; here no handler may therefore touch them.
 const EXCEPTION: u32 = 8 * 4 + 4;
-const EXCEPTION_FLOAT: u32 = 26 * 4 + 4;
+
+/// What stands in the vector table where there is no handler.
+const NO_HANDLER: &str = "DefaultHandler";
 
 /// Entries of the vector table before the first interrupt, and those of two exceptions.
 const SYSTEM_VECTORS: usize = 16;
@@ -31,7 +35,10 @@ const HARD_FAULT: usize = 3;
 pub(crate) struct Worst {
     /// In bytes.
     pub(crate) bytes: u32,
+    /// From the reset on with interrupts open, then each priority.
     levels: Vec<Level>,
+    /// From the reset on with interrupts masked.
+    masked: Level,
     /// Functions that call through a pointer.
     indirect: BTreeSet<String>,
     /// The deepest function that such a call may reach.
@@ -39,7 +46,7 @@ pub(crate) struct Worst {
 }
 
 /// What runs at one priority.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 struct Level {
     /// 0 for what no interrupt started.
     priority: u8,
@@ -55,30 +62,35 @@ pub(crate) fn worst(file: &[u8], priorities: &BTreeMap<String, u8>) -> Result<Wo
     let elf = ElfFile32::<LittleEndian>::parse(file).context("not an ELF file of a 32-bit part")?;
     let kinds = kinds(&elf)?;
     let image = Image::read(&elf, &kinds)?;
-    let mut walk = Walk { image: &image, done: BTreeMap::new(), under_way: Vec::new(), pointed: None };
-    let entry = image.vector(RESET)?;
+    let mut walk = Walk::new(&image);
+    let reset = image.vector(RESET)?;
     let mut handlers = BTreeMap::<u8, Vec<u32>>::new();
     for (address, name) in image.handlers()? {
+        walk.check_float(address)?;
+        if name.starts_with(NO_HANDLER) {
+            continue;
+        }
         let priority =
             priorities.get(name).with_context(|| format!("the priority of {name} is not known"))?;
         handlers.entry(*priority).or_default().push(address);
     }
-    let mut levels = vec![Level { priority: 0, exception: 0, ..walk.level(&[entry])? }];
-    let mut float = walk.uses_float(entry)?;
+    let mut levels = vec![walk.level(reset, &[Interrupts::Open])?];
     for (priority, addresses) in handlers {
-        let exception = if float { EXCEPTION_FLOAT } else { EXCEPTION };
-        levels.push(Level { priority, exception, ..walk.level(&addresses)? });
+        let mut worst = Level::default();
         for address in addresses {
-            float |= walk.uses_float(address)?;
+            let level = walk.level(address, &[Interrupts::Open, Interrupts::Masked])?;
+            worst = if level.bytes >= worst.bytes { level } else { worst };
         }
+        levels.push(Level { priority, exception: EXCEPTION, ..worst });
     }
+    let masked = walk.level(reset, &[Interrupts::Masked])?;
     // a fault may come on top of all, but starts a stack of its own; its code has to be one that can be followed
     image.function(image.vector(HARD_FAULT)?)?;
-    let bytes = levels.iter().map(|level| level.exception + level.bytes).sum();
+    let open: u32 = levels.iter().map(|level| level.exception + level.bytes).sum();
     let reached = walk.pointed.map(|(address, bytes)| (image.name(address), bytes));
     let indirect =
-        walk.done.iter().filter(|(_, done)| done.indirect).map(|(at, _)| image.name(*at)).collect();
-    Ok(Worst { bytes, levels, indirect, reached })
+        walk.done.iter().filter(|(_, done)| done.indirect).map(|((at, _), _)| image.name(*at)).collect();
+    Ok(Worst { bytes: open.max(masked.bytes), levels, masked, indirect, reached })
 }
 
 impl Worst {
@@ -86,18 +98,24 @@ impl Worst {
     pub(crate) fn lines(&self) -> String {
         let mut text = String::new();
         let mut line = |words: String| writeln!(text, "{words}").expect("a string takes everything");
-        for level in &self.levels {
-            let what = match level.priority {
-                0 => "from the reset on".into(),
-                priority => format!(
-                    "interrupt of priority {priority}, {} of it pushed by the processor",
-                    level.exception
-                ),
-            };
+        let mut show = |level: &Level, what: String| {
             line(format!("{:>6}  {what}", level.exception + level.bytes));
             for (name, depth) in &level.chain {
                 line(format!("{depth:>14}  {name}"));
             }
+        };
+        show(&self.masked, "from the reset on with interrupts masked, alone".into());
+        for level in &self.levels {
+            let what = match level.priority {
+                0 => "from the reset on with interrupts open, and on top of it".into(),
+                priority => {
+                    format!(
+                        "interrupt of priority {priority}, {} of it pushed by the processor",
+                        level.exception
+                    )
+                }
+            };
+            show(level, what);
         }
         if let Some((name, bytes)) = &self.reached {
             let callers: Vec<_> = self.indirect.iter().map(String::as_str).collect();
@@ -195,17 +213,13 @@ impl<'data> Image<'data> {
         Ok(self.vectors.get(index).with_context(|| format!("there is no vector {index}"))? & !1)
     }
 
-    /// The handlers of interrupts and of every exception but reset and hard fault, without the one that stands where
-    /// there is none.
+    /// The handlers of interrupts and of every exception but reset and hard fault, which never return.
     fn handlers(&self) -> Result<BTreeSet<(u32, &str)>> {
         let mut handlers = BTreeSet::new();
         let others =
             self.vectors.iter().enumerate().skip(RESET + 1).filter(|(index, _)| *index != HARD_FAULT);
         for (_, vector) in others.filter(|(_, vector)| **vector != 0) {
-            let function = self.function(vector & !1)?;
-            if !function.name.starts_with("DefaultHandler") {
-                handlers.insert((vector & !1, function.name));
-            }
+            handlers.insert((vector & !1, self.function(vector & !1)?.name));
         }
         ensure!(self.vectors.len() > SYSTEM_VECTORS, "the vector table has no interrupts");
         Ok(handlers)
@@ -244,53 +258,119 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = u32> + '_ {
 /// The call graph, as far as it has been walked.
 struct Walk<'image, 'data> {
     image: &'image Image<'data>,
-    done: BTreeMap<u32, Done>,
+    done: BTreeMap<(u32, Interrupts), Done>,
+    /// Functions that may end the masking of interrupts, by themselves or by what they call.
+    unmasking: BTreeMap<u32, bool>,
     under_way: Vec<u32>,
     /// The deepest function that a pointer may lead to.
     pointed: Option<(u32, u32)>,
 }
 
-/// A function and everything below it.
+/// A function that is entered with interrupts open or masked, and everything below it.
 #[derive(Clone, Copy)]
 struct Done {
-    bytes: u32,
-    /// The call that makes it so deep, and how deep the function itself is there.
-    deepest: Option<(u32, u32)>,
-    float: bool,
+    open: Option<Deepest>,
+    masked: Option<Deepest>,
+    /// The function that uses the floating-point unit.
+    float: Option<u32>,
     /// It calls through a pointer itself.
     indirect: bool,
 }
 
-impl Walk<'_, '_> {
-    fn level(&mut self, entries: &[u32]) -> Result<Level> {
-        let mut worst = Level { priority: 0, exception: 0, bytes: 0, chain: Vec::new() };
-        for entry in entries {
-            let bytes = self.visit(*entry)?.bytes;
-            if bytes >= worst.bytes {
-                worst = Level { bytes, chain: self.chain(*entry)?, ..worst };
+/// How deep it goes.
+#[derive(Clone, Copy)]
+struct Deepest {
+    bytes: u32,
+    /// The call that makes it so deep, and how deep the function itself is there.
+    call: Option<(u32, Interrupts, u32)>,
+}
+
+impl Done {
+    fn deepest(&mut self, interrupts: Interrupts) -> &mut Option<Deepest> {
+        match interrupts {
+            Interrupts::Open => &mut self.open,
+            Interrupts::Masked => &mut self.masked,
+        }
+    }
+}
+
+impl<'image, 'data> Walk<'image, 'data> {
+    fn new(image: &'image Image<'data>) -> Self {
+        let (done, unmasking) = (BTreeMap::new(), BTreeMap::new());
+        Self { image, done, unmasking, under_way: Vec::new(), pointed: None }
+    }
+
+    /// The deepest chain from an entry on that ends with interrupts in one of these states.
+    fn level(&mut self, entry: u32, states: &[Interrupts]) -> Result<Level> {
+        let mut worst = Level::default();
+        for state in states {
+            if let Some(Deepest { bytes, .. }) = *self.visit(entry, Interrupts::Open)?.deepest(*state)
+                && bytes >= worst.bytes
+            {
+                worst = Level { bytes, chain: self.chain(entry, *state)?, ..worst };
             }
         }
         Ok(worst)
     }
 
-    fn uses_float(&mut self, address: u32) -> Result<bool> {
-        Ok(self.visit(address)?.float)
-    }
-
-    fn chain(&mut self, entry: u32) -> Result<Vec<(String, u32)>> {
+    fn chain(&mut self, entry: u32, state: Interrupts) -> Result<Vec<(String, u32)>> {
         let mut chain = Vec::new();
-        let mut next = Some(entry);
-        while let Some(address) = next {
-            let done = self.visit(address)?;
-            let depth = done.deepest.map_or(done.bytes, |(_, depth)| depth);
-            chain.push((self.image.name(address), depth));
-            next = done.deepest.map(|(callee, _)| callee);
+        let mut next = Some((entry, Interrupts::Open));
+        while let Some((address, entered)) = next {
+            let deepest = *self.visit(address, entered)?.deepest(state);
+            let Deepest { bytes, call } = deepest.context("a chain that leads nowhere")?;
+            chain.push((self.image.name(address), call.map_or(bytes, |(_, _, depth)| depth)));
+            next = call.map(|(callee, entered, _)| (callee, entered));
         }
         Ok(chain)
     }
 
-    fn visit(&mut self, address: u32) -> Result<Done> {
-        if let Some(done) = self.done.get(&address) {
+    /// Nothing from a handler on may use the floating-point unit.
+    fn check_float(&mut self, handler: u32) -> Result<()> {
+        if let Some(float) = self.visit(handler, Interrupts::Open)?.float {
+            let (handler, float) = (self.image.name(handler), self.image.name(float));
+            bail!(
+                "{handler} uses floating-point registers, which are not kept for what it interrupts: in {float}"
+            );
+        }
+        Ok(())
+    }
+
+    fn targets(&self, callee: Callee) -> Vec<u32> {
+        match callee {
+            Callee::At(target) => vec![target],
+            Callee::Unknown => self.image.pointed.iter().copied().collect(),
+        }
+    }
+
+    fn summary(&mut self, address: u32, entry: Interrupts) -> Result<Summary> {
+        let function = self.image.function(address)?;
+        let unmasks = |callee| {
+            let targets = self.targets(callee);
+            targets.into_iter().try_fold(false, |any, target| Ok(any | self.unmasks(target)?))
+        };
+        code::summary(function.code, entry, unmasks).with_context(|| format!("{:#}", demangle(function.name)))
+    }
+
+    /// Whether a function may end the masking of interrupts, by itself or by what it calls.
+    fn unmasks(&mut self, address: u32) -> Result<bool> {
+        if let Some(known) = self.unmasking.get(&address) {
+            return Ok(*known);
+        }
+        // recursion ends here, and is refused when the function is visited
+        self.unmasking.insert(address, false);
+        let Summary { mut unmasks, calls, .. } = self.summary(address, Interrupts::Open)?;
+        for (callee, ..) in calls {
+            for target in self.targets(callee) {
+                unmasks |= self.unmasks(target)?;
+            }
+        }
+        self.unmasking.insert(address, unmasks);
+        Ok(unmasks)
+    }
+
+    fn visit(&mut self, address: u32, entry: Interrupts) -> Result<Done> {
+        if let Some(done) = self.done.get(&(address, entry)) {
             return Ok(*done);
         }
         if let Some(start) = self.under_way.iter().position(|one| *one == address) {
@@ -298,33 +378,36 @@ impl Walk<'_, '_> {
             bail!("recursion has no worst case: {}", names.join(" -> "));
         }
         self.under_way.push(address);
-        let function = self.image.function(address)?;
-        let Summary { frame, calls, float } =
-            code::summary(function.code).with_context(|| format!("{:#}", demangle(function.name)))?;
-        let mut done = Done { bytes: frame, deepest: None, float, indirect: false };
-        for (callee, depth) in calls {
-            let targets = match callee {
-                Callee::At(target) => vec![target],
-                Callee::Unknown => {
-                    done.indirect = true;
-                    self.image.pointed.iter().copied().collect()
-                }
-            };
-            ensure!(!targets.is_empty(), "a pointer leads nowhere in {:#}", demangle(function.name));
+        let Summary { open, masked, calls, float, .. } = self.summary(address, entry)?;
+        let by_itself = |frame: Option<u32>| frame.map(|bytes| Deepest { bytes, call: None });
+        let mut done = Done {
+            open: by_itself(open),
+            masked: by_itself(masked),
+            float: float.then_some(address),
+            indirect: false,
+        };
+        for (callee, depth, entered) in calls {
+            let targets = self.targets(callee);
+            done.indirect |= callee == Callee::Unknown;
+            ensure!(!targets.is_empty(), "a pointer leads nowhere in {}", self.image.name(address));
             for target in targets {
-                let below = self.visit(target)?;
-                done.float |= below.float;
-                if callee == Callee::Unknown && self.pointed.is_none_or(|(_, bytes)| bytes < below.bytes) {
-                    self.pointed = Some((target, below.bytes));
-                }
-                if depth + below.bytes > done.bytes {
-                    done.bytes = depth + below.bytes;
-                    done.deepest = Some((target, depth));
+                let mut below = self.visit(target, entered)?;
+                done.float = done.float.or(below.float);
+                for state in [Interrupts::Open, Interrupts::Masked] {
+                    let Some(Deepest { bytes, .. }) = *below.deepest(state) else { continue };
+                    if callee == Callee::Unknown && self.pointed.is_none_or(|(_, most)| most < bytes) {
+                        self.pointed = Some((target, bytes));
+                    }
+                    let deepest = done.deepest(state);
+                    if deepest.is_none_or(|deepest| depth + bytes > deepest.bytes) {
+                        let call = Some((target, entered, depth));
+                        *deepest = Some(Deepest { bytes: depth + bytes, call });
+                    }
                 }
             }
         }
         self.under_way.pop();
-        self.done.insert(address, done);
+        self.done.insert((address, entry), done);
         Ok(done)
     }
 }
@@ -369,8 +452,8 @@ mod tests {
         Image { functions, vectors: Vec::new(), pointed: BTreeSet::new() }
     }
 
-    fn walk<'image, 'data>(image: &'image Image<'data>) -> Walk<'image, 'data> {
-        Walk { image, done: BTreeMap::new(), under_way: Vec::new(), pointed: None }
+    fn open(image: &Image<'_>, address: u32) -> u32 {
+        Walk::new(image).level(address, &[Interrupts::Open]).unwrap().bytes
     }
 
     // push {r4, lr}; bl 0x200; pop {r4, pc}
@@ -381,7 +464,7 @@ mod tests {
     #[test]
     fn a_chain_of_calls_adds_up() {
         let image = image(&[(0x100, "caller", &CALLS_0X200), (0x200, "leaf", &LEAF)]);
-        let level = walk(&image).level(&[0x100]).unwrap();
+        let level = Walk::new(&image).level(0x100, &[Interrupts::Open]).unwrap();
         assert_eq!(level.bytes, 24);
         assert_eq!(level.chain, [("caller".to_owned(), 8), ("leaf".to_owned(), 16)]);
     }
@@ -391,20 +474,66 @@ mod tests {
         // push {r4, lr}; blx r3; pop {r4, pc}
         let caller = [0x10, 0xB5, 0x98, 0x47, 0x10, 0xBD];
         let mut image = image(&[(0x100, "caller", &caller), (0x200, "leaf", &LEAF)]);
-        assert!(walk(&image).visit(0x100).is_err(), "there is none");
+        assert!(Walk::new(&image).visit(0x100, Interrupts::Open).is_err(), "there is none");
         image.find_pointers(&[0x01, 0x02, 0, 0]);
-        assert_eq!(walk(&image).visit(0x100).unwrap().bytes, 24);
+        assert_eq!(open(&image, 0x100), 24);
         image.pointed.clear();
         // movw r3, #0x201; movt r3, #0
         image.find_pointers(&[0x40, 0xF2, 0x01, 0x23, 0xC0, 0xF2, 0x00, 0x03]);
-        assert_eq!(walk(&image).visit(0x100).unwrap().bytes, 24);
+        assert_eq!(open(&image, 0x100), 24);
     }
 
     #[test]
     fn recursion_is_refused() {
         // push {r4, lr}; bl 0x200
         let image = image(&[(0x200, "endless", &[0x10, 0xB5, 0xFF, 0xF7, 0xFD, 0xFF])]);
-        let error = walk(&image).visit(0x200).err().unwrap().to_string();
+        let error = Walk::new(&image).visit(0x200, Interrupts::Open).err().unwrap().to_string();
         assert!(error.contains("endless"), "{error}");
+    }
+
+    #[test]
+    fn interrupts_count_only_where_they_are_open() {
+        // push {r4, lr}; cpsid i; bl 0x200; cpsie i; bl 0x300; pop {r4, pc}
+        let caller: Vec<u8> = [0xB510u16, 0xB672, 0xF000, 0xF87C, 0xB662, 0xF000, 0xF8F9, 0xBD10]
+            .map(u16::to_le_bytes)
+            .concat();
+        // sub sp, #8; add sp, #8; bx lr
+        let small = [0x82, 0xB0, 0x02, 0xB0, 0x70, 0x47];
+        let functions = |first: &'static str| {
+            [(0x100, "caller", &caller[..]), (0x200, first, &LEAF), (0x300, "small", &small)]
+        };
+        let image = image(&functions("leaf"));
+        let mut walk = Walk::new(&image);
+        let [open, masked] =
+            [Interrupts::Open, Interrupts::Masked].map(|state| walk.level(0x100, &[state]).unwrap());
+        assert_eq!((open.bytes, masked.bytes), (16, 24));
+        assert_eq!(masked.chain, [("caller".to_owned(), 8), ("leaf".to_owned(), 16)]);
+        assert_eq!(open.chain, [("caller".to_owned(), 8), ("small".to_owned(), 8)]);
+    }
+
+    #[test]
+    fn what_a_callee_calls_may_end_the_masking() {
+        // cpsid i; bl 0x200; push {r0}; pop {r0}; bx lr
+        let caller = [0xB672u16, 0xF000, 0xF87D, 0xB401, 0xBC01, 0x4770].map(u16::to_le_bytes).concat();
+        // push {r4, lr}; bl 0x300; pop {r4, pc}
+        let between = CALLS_0X200;
+        // cpsie i; bx lr
+        let unmasks = [0x62, 0xB6, 0x70, 0x47];
+        let image =
+            image(&[(0x100, "caller", &caller), (0x200, "between", &between), (0x300, "unmasks", &unmasks)]);
+        let mut walk = Walk::new(&image);
+        assert!(walk.unmasks(0x200).unwrap());
+        assert_eq!(walk.level(0x100, &[Interrupts::Open]).unwrap().bytes, 8, "from within `unmasks` on");
+    }
+
+    #[test]
+    fn a_handler_that_uses_floating_point_registers_is_refused() {
+        // vmov s0, r0; bx lr
+        let float = [0x00, 0xEE, 0x10, 0x0A, 0x70, 0x47];
+        let image = image(&[(0x100, "handler", &CALLS_0X200), (0x200, "float", &float)]);
+        let error = Walk::new(&image).check_float(0x100).unwrap_err().to_string();
+        assert!(error.contains("handler") && error.contains("in float"), "{error}");
+        let image = self::image(&[(0x100, "handler", &CALLS_0X200), (0x200, "leaf", &LEAF)]);
+        Walk::new(&image).check_float(0x100).unwrap();
     }
 }

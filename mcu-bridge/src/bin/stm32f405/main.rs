@@ -11,6 +11,7 @@ mod bxcan;
 mod clocks;
 mod constants;
 mod flash;
+mod fpu;
 mod inputs;
 mod outputs;
 mod pins;
@@ -29,7 +30,7 @@ mod app {
     use crate::time::{self, Clock};
     use crate::uart::{self, Registers, Uart};
     use crate::watchdog::Watchdog;
-    use crate::{clocks, pins, reset};
+    use crate::{clocks, fpu, pins, reset};
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
@@ -113,6 +114,7 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let mut device = cx.device;
         let mut core = cx.core;
+        fpu::keep_no_registers(&mut core.FPU);
         let mut watchdog = Watchdog::start(device.IWDG);
         let reset_cause = reset::cause(&device.RCC);
         let clocks = clocks::start(&device.RCC, &device.FLASH);
@@ -210,7 +212,8 @@ mod app {
                     MARKS.set(line.part);
                 }
                 if let Some(config) = local.engine.take_port_change(line.port) {
-                    uart::configure(line.usart, line.bus_hz, &config);
+                    // the interrupt writes the same registers
+                    cortex_m::interrupt::free(|_| uart::configure(line.usart, line.bus_hz, &config));
                 }
             }
             if local.can.is_some() {

@@ -45,27 +45,25 @@ mod sr {
     pub(super) const ERRORS: u16 = PARITY | FRAMING | NOISE | OVERRUN;
 }
 
-/// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6), with interrupts held back.
+/// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6); its interrupt must not come meanwhile.
 pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
     let baud = config.baud().max(1);
     let divider = ((bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
     let parity = config.parity != Parity::None;
     let stop = if config.stop_bits == 2 { 0b10 } else { 0b00 };
-    cortex_m::interrupt::free(|_| {
-        usart.cr1().modify(|_, w| w.ue().clear_bit());
-        // SAFETY: values in the range of their fields
-        usart.brr().write(|w| unsafe { w.bits(divider as u16) });
-        // SAFETY: as above
-        usart.cr2().write(|w| unsafe { w.stop().bits(stop) });
-        usart.cr1().write(|w| {
-            w.m().bit(parity);
-            w.pce().bit(parity);
-            w.ps().bit(config.parity == Parity::Odd);
-            w.te().set_bit();
-            w.re().set_bit();
-            w.rxneie().set_bit();
-            w.ue().set_bit()
-        });
+    usart.cr1().modify(|_, w| w.ue().clear_bit());
+    // SAFETY: values in the range of their fields
+    usart.brr().write(|w| unsafe { w.bits(divider as u16) });
+    // SAFETY: as above
+    usart.cr2().write(|w| unsafe { w.stop().bits(stop) });
+    usart.cr1().write(|w| {
+        w.m().bit(parity);
+        w.pce().bit(parity);
+        w.ps().bit(config.parity == Parity::Odd);
+        w.te().set_bit();
+        w.re().set_bit();
+        w.rxneie().set_bit();
+        w.ue().set_bit()
     });
 }
 
