@@ -1,11 +1,12 @@
 //! The bridge's routing table, asked for the unit that stands last in it.
 
 use jointbus_mcu_bridge::engine::config::{Bus, Network, ROUTES, Route};
+use jointbus_mcu_bridge::engine::router::Router;
 
 use crate::{FRAME_MAX, Kind, Subject};
 
 /// A table with as many routes, each for one unit: the unit asked for is in the last.
-pub struct Routes<const COUNT: usize>(Network);
+pub struct Routes<const COUNT: usize>(Router);
 
 /// The unit that is asked for.
 const UNIT: u8 = ROUTES as u8;
@@ -19,11 +20,11 @@ impl<const COUNT: usize> Subject for Routes<COUNT> {
         for (row, unit) in network.routes.iter_mut().zip(units) {
             *row = Route { first_unit: unit, last_unit: unit, bus: Bus::Bridge, ..Route::UNUSED };
         }
-        Self(network)
+        Self(Router::new(&network))
     }
 
     fn serve(&mut self, frame: &[u8], _: &mut [u8; FRAME_MAX]) -> usize {
-        let route = frame.first().and_then(|unit| self.0.route(*unit));
-        usize::from(route.is_some_and(|(_, route)| route.last_unit == UNIT))
+        let row = frame.first().and_then(|unit| self.0.row(*unit));
+        usize::from(row.is_some_and(|row| usize::from(row) == COUNT - 1))
     }
 }

@@ -18,7 +18,7 @@ impl Engine {
     pub(super) fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
         let Self { host, core } = self;
         host.set_silence(core.limits.burst_silence());
-        while let Some(event) = host.feed(&HostFormat(&core.live), &mut bytes, now) {
+        while let Some(event) = host.feed(&core.format(), &mut bytes, now) {
             core.take(&event, now);
             core.make_change(now);
         }
@@ -29,7 +29,7 @@ impl Engine {
     pub(super) fn end_host_burst(&mut self, now: Instant) {
         let Self { host, core } = self;
         host.set_silence(core.limits.burst_silence());
-        if let Some(event) = host.poll(&HostFormat(&core.live), now) {
+        if let Some(event) = host.poll(&core.format(), now) {
             core.take(&event, now);
             core.make_change(now);
         }
@@ -37,6 +37,10 @@ impl Engine {
 }
 
 impl Core {
+    const fn format(&self) -> HostFormat<'_> {
+        HostFormat { router: &self.router, network: &self.live }
+    }
+
     /// Makes the change that a request has asked for. Here and not where it was asked for, which is deeper in the stack.
     fn make_change(&mut self, now: Instant) {
         let change = core::mem::replace(&mut self.change, Change::None);
@@ -54,7 +58,7 @@ impl Core {
             Event::Dropped { fault, burst } => {
                 let unit = burst.first().copied().unwrap_or(0);
                 let known =
-                    matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.live.route(unit).is_some();
+                    matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.router.row(unit).is_some();
                 match (known, fault) {
                     (false, _) => count(&mut counters.refused),
                     (true, Fault::Checksum) => {
@@ -83,7 +87,7 @@ impl Core {
                     self.broadcast_modbus(unit, body, &[Bus::LocalOutputs], now);
                 }
             }
-            _ => match self.live.route(unit) {
+            _ => match self.route(unit) {
                 Some((number, route)) if route.protocol.is_nst() => {
                     self.request_nst(unit, number, *route, body, now);
                 }

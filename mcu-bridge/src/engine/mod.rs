@@ -12,12 +12,13 @@ mod listener;
 mod own;
 mod polling;
 mod quarantine;
+pub mod router;
 mod serial;
 mod settings;
 mod transaction;
 
 use can::CanBus;
-use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
+use config::{Bus, Limits, Network, Port, PortConfig, ROUTES, Route};
 use counters::count;
 use host::{HostDeframer, Output};
 use io::{Analog, LocalIo, LocalOutputs};
@@ -28,6 +29,7 @@ use jointbus_protocol::time::{Duration, Instant};
 use own::{Diagnostics, Saving};
 use polling::Polling;
 use quarantine::Quarantine;
+use router::Router;
 use serial::SerialBus;
 use transaction::{HostSide, ReplyTime, Surroundings};
 
@@ -67,6 +69,8 @@ struct Core {
     identity: Identity,
     health: Health,
     live: Network,
+    /// Of the live network.
+    router: Router,
     staged: Network,
     confirmed: Network,
     confirm_until: Option<Instant>,
@@ -124,6 +128,7 @@ impl Place {
                 identity: Identity { version: [0; 3], reset_cause: ResetCause::PowerOn },
                 health: Health { internal_oscillator: false, no_can: false, defaulted: false },
                 live: Network::ZERO,
+                router: Router::ZERO,
                 staged: Network::ZERO,
                 confirmed: Network::ZERO,
                 confirm_until: None,
@@ -188,6 +193,7 @@ impl Engine {
         for network in [&mut core.live, &mut core.staged, &mut core.confirmed] {
             *network = Network::DEFAULT;
         }
+        core.router.learn(&core.live);
         core.can.start(Network::DEFAULT.port(Port::Can).node);
         let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::new(), &nxi6201::Settings::default());
         core.outputs = outputs;
@@ -426,7 +432,7 @@ fn sooner(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
 impl Core {
     /// Changes ports and routes, dropping what waits or is in flight where something changed.
     fn change(&mut self, change: Change, now: Instant) {
-        let Self { live, staged, confirmed, quarantine, changed_ports, .. } = self;
+        let Self { live, router, staged, confirmed, quarantine, changed_ports, .. } = self;
         let next = match change {
             Change::None => return,
             Change::Defaults => {
@@ -456,6 +462,7 @@ impl Core {
             *changed |= old != new;
         }
         *live = *next;
+        router.learn(live);
         let [_, rs485_a, rs485_b, can] = moved;
         for (port, moved) in [(Port::Rs485A, rs485_a), (Port::Rs485B, rs485_b)] {
             if moved {
@@ -467,6 +474,12 @@ impl Core {
             let (can, mut around) = self.can_parts();
             can.reset(node, &mut around);
         }
+    }
+
+    /// The route of a unit, and its number.
+    fn route(&self, unit: u8) -> Option<(u8, &Route)> {
+        let number = self.router.row(unit)?;
+        self.live.routes.get(usize::from(number)).map(|route| (number, route))
     }
 
     const fn host_silence_limit(&self) -> Duration {

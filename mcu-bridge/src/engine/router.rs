@@ -1,0 +1,130 @@
+//! The routing table as it is looked through: six rows at once.
+
+use super::config::{Network, ROUTES};
+
+/// Rows in a word: each takes nine bits, a byte and the carry of what is added to it.
+const LANES: usize = 3;
+const LANE: u32 = u8::BITS + 1;
+
+/// 1 in every lane, and its carry.
+const ONES: u32 = 1 | 1 << LANE | 1 << (2 * LANE);
+const CARRIES: u32 = ONES << u8::BITS;
+
+/// Rows in two groups, which are looked through in one step.
+const PAIR: usize = 2 * LANES;
+
+/// A whole number of pairs.
+const GROUPS: usize = 2 * ROUTES.div_ceil(PAIR);
+
+/// Three rows.
+#[derive(Debug, Clone, Copy)]
+struct Group {
+    /// A carry less the first unit: a unit added to it leaves the carry where it is not before the first.
+    from: u32,
+    /// A carry and the last unit: a unit taken from it leaves the carry where it is not behind the last.
+    to: u32,
+}
+
+impl Group {
+    /// The carries of the rows that serve a unit, given in every lane.
+    const fn serve(self, units: u32) -> u32 {
+        self.from.wrapping_add(units) & self.to.wrapping_sub(units) & CARRIES
+    }
+}
+
+/// Finds the row of a unit in a [`Network`] in about the same time wherever it stands: the first that serves it.
+#[derive(Debug, Clone)]
+pub struct Router([Group; GROUPS]);
+
+impl Router {
+    /// One that finds nothing, in zeros.
+    pub(super) const ZERO: Self = Self([Group { from: 0, to: 0 }; GROUPS]);
+
+    /// For the rows of a network.
+    #[must_use]
+    pub fn new(network: &Network) -> Self {
+        let mut router = Self::ZERO;
+        router.learn(network);
+        router
+    }
+
+    /// Forgets the former rows.
+    #[inline(never)] // at the start and when routes change
+    pub(super) fn learn(&mut self, network: &Network) {
+        let mut rows = network.routes.iter();
+        for group in &mut self.0 {
+            // a row that is not used serves no unit, and lends its neighbour nothing
+            *group = Group { from: 0, to: CARRIES };
+            for lane in [0, LANE, 2 * LANE] {
+                if let Some(row) = rows.next().filter(|row| row.is_used()) {
+                    group.from |= (1u32 << u8::BITS).wrapping_sub(row.first_unit.into()) << lane;
+                    group.to |= u32::from(row.last_unit) << lane;
+                }
+            }
+        }
+    }
+
+    /// Number of the row of a unit.
+    #[must_use]
+    #[inline(never)] // asked in many places
+    pub fn row(&self, unit: u8) -> Option<u8> {
+        let units = ONES.wrapping_mul(unit.into());
+        let mut row = 0u8;
+        for [first, second] in self.0.as_chunks().0 {
+            let (first, second) = (first.serve(units), second.serve(units));
+            if first | second != 0 {
+                let (lanes, row) =
+                    if first != 0 { (first, row) } else { (second, row.wrapping_add(LANES as u8)) };
+                // the carry of a lane is its last bit
+                return Some(row.wrapping_add((lanes.trailing_zeros() / LANE) as u8));
+            }
+            row = row.wrapping_add(PAIR as u8);
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::config::Route;
+
+    fn agree(network: &Network) {
+        let router = Router::new(network);
+        for unit in 0..u8::MAX {
+            assert_eq!(
+                router.row(unit),
+                network.route(unit).map(|(row, _)| row),
+                "unit {unit} of {network:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn every_unit_is_found_in_the_first_row_that_serves_it() {
+        agree(&Network::default());
+        let unused = Network { routes: [Route::UNUSED; ROUTES], ..Network::default() };
+        agree(&unused);
+        // any first and last units, in any order and overlapping
+        let mut random = 1u32;
+        let mut unit = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 24) as u8
+        };
+        for _ in 0..2000 {
+            let mut network = unused;
+            for row in &mut network.routes {
+                (row.first_unit, row.last_unit) = match unit() % 4 {
+                    0 => (0, 0),
+                    1 => (unit(), unit()),
+                    2 => (unit(), u8::MAX - 1),
+                    _ => {
+                        let first = unit();
+                        (first, first.saturating_add(unit() % 16))
+                    }
+                };
+            }
+            agree(&network);
+        }
+    }
+}
