@@ -76,14 +76,10 @@ static MEANWHILE: &[(&str, &str, &str, f64)] = &[
     (host::PLACE, "server", "10 x 10 registers", 445.0),
     (host::PLACE, "server", "01 x 16 coils", 360.0),
     (host::PLACE, "server", "wrong CRC", 85.0),
-    (bridge::IMAGE, bridge::SUBJECT, "flash", 60_000.0),
-    (bridge::IMAGE, bridge::SUBJECT, "static RAM", 12_700.0),
-    (bridge::IMAGE, bridge::SUBJECT, "worst stack", 5_200.0),
-    (bridge::IMAGE, bridge::SUBJECT, "reply from RS485 to host, worst", 3_150.0),
-    (bridge::IMAGE, bridge::SUBJECT, "reply from CAN to host, worst", 3_100.0),
-    (bridge::IMAGE, bridge::SUBJECT, "idle turn", 800.0),
-    (SIZE, "routes_all", "the last of the units", 250.0),
-    (SPEED, "routes_all", "the last of the units", 140.0),
+    (bridge::IMAGE, bridge::SUBJECT, "flash", 56_000.0),
+    (bridge::IMAGE, bridge::SUBJECT, "static RAM", 12_600.0),
+    (bridge::IMAGE, bridge::SUBJECT, "worst stack", 2_200.0),
+    (bridge::IMAGE, bridge::SUBJECT, "idle turn", 980.0),
 ];
 
 const fn at_most(place: &'static str, subject: &'static str, what: &'static str, most: f64) -> Limit {
