@@ -11,6 +11,7 @@ pub(crate) fn all() {
     registers();
     let Ok(card) = Card::power_up(RamHardware::default(), &settings());
     dispatcher(card);
+    dispatcher(Card::resume(RamHardware::default(), settings()));
     if let Ok(card) = Card::power_up(Anything, &settings()) {
         dispatcher(card);
     }
