@@ -5,7 +5,7 @@
 
 use jointbus_fuzz::{Script, sealed};
 use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause, SLOTS, Settings};
+use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause, SLOTS, STORED_LENGTH, Settings};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;
@@ -105,7 +105,10 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             engine.set_inputs(script.word(), [value; 4]);
         }
         _ => {
-            if let Some(settings) = engine.take_save() {
+            let (wants_save, mut settings) = (engine.wants_save(), [0; STORED_LENGTH]);
+            let taken = engine.take_save(&mut settings);
+            assert_eq!(wants_save, taken);
+            if taken {
                 assert!(Settings::decode(&settings).is_some(), "what is stored can be restored");
                 engine.saved(argument & 1 != 0);
             }

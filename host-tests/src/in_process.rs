@@ -7,7 +7,7 @@
 use crate::clock::Clock;
 use anyhow::{Context, Result, ensure};
 use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause, Settings};
+use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause, STORED_LENGTH, Settings};
 use jointbus_protocol::can::Id;
 use jointbus_protocol::slcan::{self, LineReader, Outcome};
 use std::io::{Read, Write};
@@ -203,7 +203,8 @@ impl Driver {
                 Err(RecvTimeoutError::Disconnected) => return,
             }
             self.engine.poll(self.clock.now());
-            if let Some(settings) = self.engine.take_save() {
+            let mut settings = [0; STORED_LENGTH];
+            if self.engine.take_save(&mut settings) {
                 self.stored = Settings::decode(&settings);
                 self.engine.saved(self.stored.is_some());
             }

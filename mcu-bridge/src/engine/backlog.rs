@@ -244,8 +244,9 @@ struct Owed {
     expected: Expected,
     replies: u8,
     until: Instant,
-    /// A unit that would be out of quarantine if its reply came so long before that.
-    probed: Option<(u8, Span)>,
+    /// The unit, which was probed and is out of quarantine if its reply comes longer than that before.
+    unit: u8,
+    probed: Option<Span>,
 }
 
 /// How many kinds of reply a bus can be owed; while that many are, it starts no transaction.
@@ -266,9 +267,9 @@ impl OwedReplies {
         if replies > 0 {
             let until = sent.after(request.hold_off.into());
             let before = |window| until.since(sent.after(window)).into();
-            let probed = request.probe_window().map(|window| (request.unit, before(window)));
+            let probed = request.probe_window().map(before);
             // a transaction starts only while there is room, and adds at most once
-            let _ = self.0.push(Owed { expected, replies, until, probed });
+            let _ = self.0.push(Owed { expected, replies, until, unit: request.unit, probed });
         }
     }
 
@@ -311,7 +312,7 @@ impl OwedReplies {
         let owed = self.0.get_mut(index)?;
         owed.replies = owed.replies.saturating_sub(1);
         let left = owed.until.since(now);
-        let back = owed.probed.filter(|(_, before)| left > (*before).into()).map(|(unit, _)| unit);
+        let back = owed.probed.filter(|before| left > (*before).into()).map(|_| owed.unit);
         self.0.retain(|owed| owed.replies > 0);
         back
     }

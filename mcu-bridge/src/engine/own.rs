@@ -282,8 +282,8 @@ impl Core {
         };
         match offset % 4 {
             0 => self.quarantine.mask(route, &self.limits),
-            1 => time.last.tens(),
-            2 => time.largest.tens(),
+            1 => time.last,
+            2 => time.largest,
             _ => 0,
         }
     }
@@ -380,17 +380,25 @@ impl Engine {
         core.change(Change::RollBack, now);
     }
 
-    /// What is to be stored, once after the host asked for it; [`Engine::saved`] ends the command.
-    pub fn take_save(&mut self) -> Option<[u8; STORED_LENGTH]> {
+    /// Whether the host asked for a save that [`Engine::take_save`] has not handed out.
+    #[must_use]
+    pub const fn wants_save(&self) -> bool {
+        matches!(self.core.saving, Saving::Asked(_))
+    }
+
+    /// Writes what is to be stored, once after the host asked for it; tells whether it did. [`Engine::saved`] ends the
+    /// command.
+    #[inline(never)] // what it needs of the stack is not needed while the store works
+    pub fn take_save(&mut self, stored: &mut [u8; STORED_LENGTH]) -> bool {
         let Self { core, .. } = self;
-        let Saving::Asked(unit) = core.saving else { return None };
+        let Saving::Asked(unit) = core.saving else { return false };
         core.saving = Saving::Taken(unit);
-        let (slots, mut stored) = (core.slots(), [0; STORED_LENGTH]);
-        Holding { network: &core.confirmed, ..core.holding(&slots) }.encode(&mut stored);
-        Some(stored)
+        Holding { network: &core.confirmed, ..core.holding(&core.slots()) }.encode(stored);
+        true
     }
 
     /// Whether what was to be stored is stored: the host gets its answer.
+    #[inline(never)] // rare
     pub fn saved(&mut self, stored: bool) {
         let Self { core, .. } = self;
         let Saving::Taken(unit) = core.saving else { return };

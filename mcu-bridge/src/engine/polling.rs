@@ -80,7 +80,7 @@ pub struct Slot {
     pub period_100us: u16,
     /// Samples so far; wraps around.
     pub sequence: u32,
-    /// When the last byte or frame of the newest sample came.
+    /// When the last byte or frame of the newest sample came; 0 before the first.
     pub stamp: Instant,
     /// The newest sample.
     pub sample: Sample,
@@ -88,7 +88,6 @@ pub struct Slot {
     pub missed: u32,
     /// Reads without an answer.
     pub failures: u32,
-    has_sample: bool,
     progress: Progress,
     next: Instant,
 }
@@ -109,7 +108,6 @@ impl Slot {
         sample: Sample([0; AXES]),
         missed: 0,
         failures: 0,
-        has_sample: false,
         progress: Progress::Idle,
         next: Instant::from_micros(0),
     };
@@ -123,10 +121,15 @@ impl Slot {
         Duration::from_micros((self.period_100us as u64).wrapping_mul(100))
     }
 
+    /// A sample takes time: none comes in the microsecond in which the bridge starts.
+    fn has_sample(&self) -> bool {
+        self.stamp > Instant::from_micros(0)
+    }
+
     /// What it has to say.
     #[must_use]
     pub fn state(&self, now: Instant) -> SlotState {
-        match (self.period_100us, self.has_sample) {
+        match (self.period_100us, self.has_sample()) {
             (0, _) => SlotState::Off,
             (_, false) => SlotState::Empty,
             _ if now.since(self.stamp) >= self.period().times(3).max(STALE_AT_LEAST) => SlotState::Stale,
@@ -257,7 +260,6 @@ impl Polling {
             slot.sample = Sample::decode(data, SignEncoding::TwosComplement);
             slot.stamp = now;
             slot.sequence = slot.sequence.wrapping_add(1);
-            slot.has_sample = true;
         }
         self.look();
     }
@@ -344,7 +346,7 @@ mod tests {
         assert_eq!(slot.state(at(0)), SlotState::Off);
         slot = Slot::new(1, 10, at(0));
         assert_eq!(slot.state(at(1_000_000)), SlotState::Empty);
-        (slot.has_sample, slot.stamp) = (true, at(1000));
+        slot.stamp = at(1000);
         assert_eq!(slot.state(at(20_999)), SlotState::Fresh, "at least 20 ms");
         assert_eq!(slot.state(at(21_000)), SlotState::Stale);
         slot.period_100us = 100;

@@ -96,7 +96,7 @@ impl From<Duration> for Span {
 
 impl Span {
     /// In 10 us, as a register has it.
-    pub(super) fn tens(self) -> u16 {
+    fn tens(self) -> u16 {
         u16::try_from(self.0 / 10).unwrap_or(u16::MAX)
     }
 }
@@ -288,16 +288,16 @@ pub(super) struct HostSide<'a> {
     pub(super) counters: &'a mut Counters,
 }
 
-/// How long the devices of a route took to answer.
+/// How long the devices of a route took to answer, in 10 us; longer than 655 ms reads as that.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct ReplyTime {
-    pub(super) last: Span,
-    pub(super) largest: Span,
+    pub(super) last: u16,
+    pub(super) largest: u16,
 }
 
 impl ReplyTime {
     /// None has answered.
-    pub(super) const NONE: Self = Self { last: Span(0), largest: Span(0) };
+    pub(super) const NONE: Self = Self { last: 0, largest: 0 };
 }
 
 /// What a bus may touch beside itself.
@@ -323,7 +323,7 @@ impl Surroundings<'_> {
         self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
-            time.last = now.since(sent).into();
+            time.last = Span::from(now.since(sent)).tens();
             time.largest = time.largest.max(time.last);
         }
     }

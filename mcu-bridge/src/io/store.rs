@@ -122,9 +122,10 @@ impl<F: MultiwriteNorFlash> Store<F> {
 
     /// The newest entry of both sectors, if there is one.
     fn newest(&mut self, buffer: &mut [u8; BUFFER]) -> Option<Newest> {
-        let [first, second] = [Sector::First, Sector::Second]
-            .map(|sector| self.find(sector, None, 0, buffer).map(|number| Newest { number, sector }));
-        [first, second].into_iter().flatten().max_by_key(|newest| newest.number)
+        let first = self.find(Sector::First, None, 0, buffer);
+        let second = self.find(Sector::Second, None, 0, buffer);
+        let sector = if first > second { Sector::First } else { Sector::Second };
+        first.max(second).map(|number| Newest { number, sector })
     }
 
     /// Looks for an entry of a sector, and leaves it in `buffer`; without a number to look for, tells the highest there
@@ -138,25 +139,23 @@ impl<F: MultiwriteNorFlash> Store<F> {
         buffer: &mut [u8; BUFFER],
     ) -> Option<u32> {
         let mut log = self.log(sector).ok()?;
-        block_on(async {
-            let mut highest = None;
-            let mut entries = log.iter().await.ok()?;
-            // a sector half erased may hold anything, and what can't be read ends the search
-            while let Ok(Some(entry)) = entries.next(buffer).await {
-                let Some(number) = entry.first_chunk().map(|number| u32::from_le_bytes(*number)) else {
-                    continue;
-                };
-                if wanted == Some(number) {
-                    return wanted;
-                }
-                highest = highest.max(Some(number));
-                if number < keep_from {
-                    // what stays is slow, and no harm
-                    let _ = entry.pop().await;
-                }
+        let mut highest = None;
+        let mut entries = block_on(log.iter()).ok()?;
+        // a sector half erased may hold anything, and what can't be read ends the search
+        while let Ok(Some(entry)) = block_on(entries.next(buffer)) {
+            let Some(number) = entry.first_chunk().map(|number| u32::from_le_bytes(*number)) else {
+                continue;
+            };
+            if wanted == Some(number) {
+                return wanted;
             }
-            highest.filter(|_| wanted.is_none())
-        })
+            highest = highest.max(Some(number));
+            if number < keep_from {
+                // what stays is slow, and no harm
+                let _ = block_on(entry.pop());
+            }
+        }
+        highest.filter(|_| wanted.is_none())
     }
 
     /// Appends an entry to a sector; tells whether it is there afterwards, or has no room.

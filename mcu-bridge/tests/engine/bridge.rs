@@ -2,8 +2,8 @@
 
 use crate::world::{SAMPLE, World, modbus};
 use crate::{LATER, READ, SOON, axes};
-use jointbus_mcu_bridge::engine::Settings;
 use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::engine::{STORED_LENGTH, Settings};
 use jointbus_protocol::time::Duration;
 
 #[test]
@@ -123,8 +123,9 @@ fn what_is_confirmed_is_saved_and_restored() {
     assert_eq!(world.modbus(247, &[6, 0, 0x55, 0, 5], SOON), [6, 0, 0x55, 0, 5]);
     assert_eq!(world.modbus(247, &save, SOON), [], "answered when it is done");
     assert_eq!(world.modbus(247, &save, SOON), [0x86, 6], "one at a time");
-    let stored = world.engine.take_save().unwrap();
-    assert!(world.engine.take_save().is_none());
+    let mut stored = [0; STORED_LENGTH];
+    assert!(world.engine.wants_save() && world.engine.take_save(&mut stored));
+    assert!(!world.engine.wants_save() && !world.engine.take_save(&mut [0; STORED_LENGTH]));
     world.engine.saved(true);
     assert_eq!(world.exchange(&[], SOON), modbus(247, &save));
 
@@ -135,7 +136,7 @@ fn what_is_confirmed_is_saved_and_restored() {
     assert_eq!(other.modbus(247, &[3, 0, 0x55, 0, 1], SOON), [3, 2, 0, 5]);
     assert_eq!(other.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0]);
     assert_eq!(other.modbus(247, &save, SOON), []);
-    other.engine.take_save().unwrap();
+    assert!(other.engine.take_save(&mut stored));
     other.engine.saved(false);
     assert_eq!(other.exchange(&[], SOON), modbus(247, &[0x86, 4]), "the store failed");
 }

@@ -221,7 +221,7 @@ mod app {
             }
             MARKS.set(Part::Can);
             if local.engine.take_output_change() {
-                local.outputs.apply(local.engine.analog_outputs());
+                local.outputs.apply(&local.engine.analog_outputs().channels);
             }
             outputs::drive_digital(local.engine.digital_outputs());
 
@@ -232,7 +232,12 @@ mod app {
                 local.engine.set_health(Health { no_can: true, ..local.engine.health() });
             }
 
-            save(local.engine, local.store, local.watchdog);
+            if local.engine.wants_save() {
+                local.watchdog.stretch();
+                let stored = save(local.engine, local.store.as_mut());
+                local.watchdog.relax();
+                local.engine.saved(stored);
+            }
             if let Some(Command::Reboot) = local.engine.take_command() {
                 *local.rebooting = true;
             }
@@ -281,23 +286,9 @@ mod app {
     }
 
     #[inline(never)]
-    fn save(engine: &mut Engine, store: &mut Option<Store<Sectors>>, watchdog: &mut Watchdog) {
+    fn save(engine: &mut Engine, store: Option<&mut Store<Sectors>>) -> bool {
         let mut settings = [0; STORED_LENGTH];
-        if take_save(engine, &mut settings) {
-            watchdog.stretch();
-            let stored = store.as_mut().is_some_and(|store| store.save(&settings).is_ok());
-            watchdog.relax();
-            engine.saved(stored);
-        }
-    }
-
-    /// Whether there is something to be saved, which then is in `settings`.
-    #[inline(never)]
-    fn take_save(engine: &mut Engine, settings: &mut [u8; STORED_LENGTH]) -> bool {
-        engine.take_save().is_some_and(|taken| {
-            *settings = taken;
-            true
-        })
+        engine.take_save(&mut settings) && store.is_some_and(|store| store.save(&settings).is_ok())
     }
 
     #[inline(never)]

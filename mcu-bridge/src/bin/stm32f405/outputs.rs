@@ -12,7 +12,6 @@ use stm32f4xx_hal::rcc::{Enable, Reset};
 pub struct Outputs {
     dac: DAC,
     timer: TIM3,
-    applied: [Channel; CHANNELS],
 }
 
 impl Outputs {
@@ -30,21 +29,15 @@ impl Outputs {
             timer.ccer().write(|w| w.bits(0x0011));
         }
         let off = Settings::default().channels;
-        let mut outputs = Self { dac, timer, applied: off };
-        outputs.drive(&off);
+        let outputs = Self { dac, timer };
+        outputs.apply(&off);
         outputs.dac.cr().modify(|_, w| w.en1().set_bit().en2().set_bit());
         outputs.timer.cr1().modify(|_, w| w.arpe().set_bit().cen().set_bit());
         outputs
     }
 
-    /// Drives the outputs where they are to change.
-    pub fn apply(&mut self, settings: &Settings) {
-        if self.applied != settings.channels {
-            self.drive(&settings.channels);
-        }
-    }
-
-    fn drive(&mut self, channels: &[Channel; CHANNELS]) {
+    /// Drives the outputs.
+    pub fn apply(&self, channels: &[Channel; CHANNELS]) {
         let [a, b, c, d] = channels.map(|channel| steps(&channel));
         // SAFETY: steps are within 12 bits
         unsafe {
@@ -53,7 +46,6 @@ impl Outputs {
             self.timer.ccr1().write(|w| w.bits(c));
             self.timer.ccr2().write(|w| w.bits(d));
         }
-        self.applied = *channels;
     }
 }
 
