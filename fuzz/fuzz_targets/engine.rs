@@ -112,7 +112,10 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
                 assert!(Settings::decode(&settings).is_some(), "what is stored can be restored");
                 engine.saved(argument & 1 != 0);
             }
-            let _ = (engine.take_command(), engine.take_port_change(port), engine.counters(port));
+            let has_port_change = engine.has_port_change();
+            let changes = Port::ALL.map(|port| engine.take_port_change(port).is_some());
+            assert_eq!(has_port_change, changes.contains(&true));
+            let _ = (engine.take_command(), engine.counters(port));
             let _ = (engine.slot(argument.into()), engine.port(port), engine.quirks(), engine.health());
         }
     }

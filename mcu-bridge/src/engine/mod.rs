@@ -352,6 +352,12 @@ impl Engine {
         self.core.command.take()
     }
 
+    /// Whether [`Engine::take_port_change`] has something for any port.
+    #[must_use]
+    pub fn has_port_change(&self) -> bool {
+        self.core.changed_ports.contains(&true)
+    }
+
     /// The new settings of a port, once after they have changed.
     pub fn take_port_change(&mut self, port: Port) -> Option<PortConfig> {
         let changed = self.core.changed_ports.get_mut(port.index())?;

@@ -1,7 +1,5 @@
 //! Whether everything that has to go on goes on: what the watchdog is fed for.
 
-use core::sync::atomic::{AtomicU8, Ordering};
-
 /// A part of the firmware that can stand still by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
@@ -31,27 +29,30 @@ impl Part {
     }
 }
 
-/// A mark for every part, set from anywhere.
+/// A mark for every part.
 #[derive(Debug, Default)]
-pub struct Marks(AtomicU8);
+pub struct Marks(u8);
 
 impl Marks {
     /// No part has advanced yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self(AtomicU8::new(0))
+        Self(0)
     }
 
     /// A part has advanced.
-    pub fn set(&self, part: Part) {
-        self.0.fetch_or(part.bit(), Ordering::Relaxed);
+    pub const fn set(&mut self, part: Part) {
+        self.0 |= part.bit();
     }
 
     /// Whether every part has advanced since this was last true.
-    pub fn take_all(&self) -> bool {
+    pub fn take_all(&mut self) -> bool {
         let all = Part::ALL.iter().fold(0, |bits, part| bits | part.bit());
-        // a mark that is set meanwhile makes this wait for the next turn
-        self.0.compare_exchange(all, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+        let advanced = self.0 == all;
+        if advanced {
+            self.0 = 0;
+        }
+        advanced
     }
 }
 
@@ -62,7 +63,7 @@ mod tests {
     #[test]
     fn only_when_every_part_has_advanced_since_the_last_time() {
         for missing in Part::ALL {
-            let marks = Marks::new();
+            let mut marks = Marks::new();
             for _ in 0..2 {
                 Part::ALL.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
                 assert!(!marks.take_all(), "{missing:?} stands still");

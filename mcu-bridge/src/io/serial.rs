@@ -253,6 +253,11 @@ impl MainSide<'_> {
         self.ends.length() == 0 && !self.shared.ended.load(Ordering::Relaxed)
     }
 
+    /// Whether the interrupt has noticed nothing wrong.
+    fn is_well(&self) -> bool {
+        self.shared.errors.load(Ordering::Relaxed) == 0 && !self.shared.overrun.load(Ordering::Relaxed)
+    }
+
     /// Whether the last stop bit of all that was to be sent has left.
     #[must_use]
     pub fn is_quiet(&self) -> bool {
@@ -261,11 +266,19 @@ impl MainSide<'_> {
 
     /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
     pub fn advances(&mut self) -> bool {
-        self.shared.advanced.swap(false, Ordering::Relaxed) || self.is_quiet()
+        self.is_quiet() || self.shared.advanced.swap(false, Ordering::Relaxed)
     }
 
     /// Carries what came in to the engine.
+    #[inline]
     pub fn carry_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
+        if !(self.is_idle() && self.is_well()) {
+            self.carry_all_in(engine, port, now);
+        }
+    }
+
+    #[inline(never)]
+    fn carry_all_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
         for _ in 0..self.shared.errors.swap(0, Ordering::Relaxed) {
             engine.receive_error(port);
         }
@@ -306,8 +319,12 @@ impl MainSide<'_> {
 
     /// Carries what the engine has to send to the interrupt; tells whether there was any.
     pub fn carry_out(&mut self, engine: &mut Engine, port: Port) -> bool {
+        let output = engine.output(port);
+        if output.is_empty() {
+            return false;
+        }
         let mut taken = 0usize;
-        for byte in engine.output(port) {
+        for byte in output {
             if !self.shared.outgoing.put(*byte) {
                 break;
             }

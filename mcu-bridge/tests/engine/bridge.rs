@@ -113,6 +113,22 @@ fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
 }
 
 #[test]
+fn a_port_that_has_changed_is_told_once() {
+    for (port, number) in Port::ALL.into_iter().zip(0..) {
+        let mut world = World::new();
+        let write = [6, 0, 0x13 + 8 * number, 0, 9];
+        for request in [write, [6, 0, 0, 0xA9, 0x91]] {
+            assert!(!world.engine.has_port_change());
+            assert_eq!(world.modbus(247, &request, SOON), request);
+        }
+        assert!(world.engine.has_port_change());
+        let changed = Port::ALL.map(|port| world.engine.take_port_change(port).map(|config| config.node));
+        assert_eq!(changed, Port::ALL.map(|other| (other == port).then_some(9)));
+        assert!(!world.engine.has_port_change());
+    }
+}
+
+#[test]
 fn what_is_confirmed_is_saved_and_restored() {
     let save = [6, 0, 0, 0x5A, 0x7E];
     let mut world = World::new();

@@ -51,6 +51,15 @@ mod app {
         overrun: AtomicBool,
     }
 
+    impl CanReports {
+        fn are_there(&self) -> bool {
+            self.sent.load(Ordering::Relaxed) > 0
+                || self.transmit_errors.load(Ordering::Relaxed) > 0
+                || self.receive_errors.load(Ordering::Relaxed) > 0
+                || self.overrun.load(Ordering::Relaxed)
+        }
+    }
+
     static CAN_REPORTS: CanReports = CanReports {
         sent: AtomicU32::new(0),
         transmit_errors: AtomicU32::new(0),
@@ -71,8 +80,8 @@ mod app {
         }
     }
 
-    /// What has advanced since the watchdog was fed.
-    static MARKS: Marks = Marks::new();
+    /// The tick has come, and time has passed.
+    static TICKED: AtomicBool = AtomicBool::new(false);
 
     /// A serial port as the main loop has it.
     pub struct Line {
@@ -193,15 +202,19 @@ mod app {
     )]
     fn idle(cx: idle::Context) -> ! {
         let local = cx.local;
+        // what has advanced since the watchdog was fed
+        let mut marks = Marks::new();
         loop {
             let now = local.clock.now();
             let analog = local.inputs.analog(now.as_micros() as u32);
             local.engine.set_inputs(local.inputs.digital(), analog);
-            MARKS.set(Part::Inputs);
+            marks.set(Part::Inputs);
             for line in local.lines.iter_mut() {
                 line.queues.carry_in(local.engine, line.port, now);
             }
-            carry_can_in(local.engine, local.frames, now);
+            if local.frames.ready() || CAN_REPORTS.are_there() {
+                carry_can_in(local.engine, local.frames, now);
+            }
             poll(local.engine, now);
 
             for line in local.lines.iter_mut() {
@@ -209,29 +222,21 @@ mod app {
                     rtic::pend(line.interrupt);
                 }
                 if line.queues.advances() {
-                    MARKS.set(line.part);
-                }
-                if let Some(config) = local.engine.take_port_change(line.port) {
-                    // the interrupt writes the same registers
-                    cortex_m::interrupt::free(|_| uart::configure(line.usart, line.bus_hz, &config));
+                    marks.set(line.part);
                 }
             }
             if local.can.is_some() {
                 carry_can_out(local.engine, now);
             }
-            MARKS.set(Part::Can);
+            marks.set(Part::Can);
             if local.engine.take_output_change() {
                 local.outputs.apply(&local.engine.analog_outputs().channels);
             }
             outputs::drive_digital(local.engine.digital_outputs());
 
-            if let (Some(config), Some(bus_hz)) = (local.engine.take_port_change(Port::Can), *local.can)
-                && bxcan::start(can(), bus_hz, config.rate, config.node).is_err()
-            {
-                *local.can = None;
-                local.engine.set_health(Health { no_can: true, ..local.engine.health() });
+            if local.engine.has_port_change() {
+                change_ports(local.engine, local.lines, local.can);
             }
-
             if local.engine.wants_save() {
                 local.watchdog.stretch();
                 let stored = save(local.engine, local.store.as_mut());
@@ -245,8 +250,13 @@ mod app {
             if *local.rebooting && local.engine.output(host.port).is_empty() && host.queues.is_quiet() {
                 reset::by_command();
             }
-            MARKS.set(Part::Loop);
-            if MARKS.take_all() {
+            // a tick that comes between the two is one of many
+            if TICKED.load(Ordering::Relaxed) {
+                TICKED.store(false, Ordering::Relaxed);
+                marks.set(Part::Tick);
+            }
+            marks.set(Part::Loop);
+            if marks.take_all() {
                 local.watchdog.feed();
             }
             // an interrupt between the look and the sleep ends the sleep at once
@@ -289,6 +299,22 @@ mod app {
     fn save(engine: &mut Engine, store: Option<&mut Store<Sectors>>) -> bool {
         let mut settings = [0; STORED_LENGTH];
         engine.take_save(&mut settings) && store.is_some_and(|store| store.save(&settings).is_ok())
+    }
+
+    #[inline(never)]
+    fn change_ports(engine: &mut Engine, lines: &[Line], can_hz: &mut Option<u32>) {
+        for line in lines {
+            if let Some(config) = engine.take_port_change(line.port) {
+                // the interrupt writes the same registers
+                cortex_m::interrupt::free(|_| uart::configure(line.usart, line.bus_hz, &config));
+            }
+        }
+        if let (Some(config), Some(bus_hz)) = (engine.take_port_change(Port::Can), *can_hz)
+            && bxcan::start(can(), bus_hz, config.rate, config.node).is_err()
+        {
+            *can_hz = None;
+            engine.set_health(Health { no_can: true, ..engine.health() });
+        }
     }
 
     #[inline(never)]
@@ -351,7 +377,7 @@ mod app {
     #[task(binds = SysTick, priority = 4)]
     fn tick(_: tick::Context) {
         if time::tick() {
-            MARKS.set(Part::Tick);
+            TICKED.store(true, Ordering::Relaxed);
         }
     }
 
