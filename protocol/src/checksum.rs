@@ -34,6 +34,36 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     u16::from_le_bytes([low, high])
 }
 
+/// What eight bits that leave the CRC put into it when none, one, two or three bytes follow them: rows of the `crc` crate.
+static SLICES: [[u16; 256]; 4] = {
+    let crc = crc::Crc::<u16, crc::Table<16>>::new(&crc::CRC_16_MODBUS);
+    let [none, one, two, three, ..] = *crc.table();
+    [none, one, two, three]
+};
+
+/// [`crc16`] with tables of 2 KiB, four bytes at once: for hosts; a Cortex-M4 gains next to nothing by it.
+#[must_use]
+pub fn crc16_sliced(bytes: &[u8]) -> u16 {
+    let [none, one, two, three] = &SLICES;
+    let look = |row: &[u16; 256], index: u8| row.get(usize::from(index)).copied().unwrap_or(0);
+    let (fours, rest) = bytes.as_chunks::<4>();
+    let mut crc = START;
+    for [a, b, c, d] in fours {
+        let [low, high] = (crc ^ u16::from_le_bytes([*a, *b])).to_le_bytes();
+        crc = look(three, low) ^ look(two, high) ^ look(one, *c) ^ look(none, *d);
+    }
+    let (pairs, single) = rest.as_chunks::<2>();
+    if let [pair] = pairs {
+        let [low, high] = (crc ^ u16::from_le_bytes(*pair)).to_le_bytes();
+        crc = look(one, low) ^ look(none, high);
+    }
+    if let [last] = single {
+        let [low, high] = crc.to_le_bytes();
+        crc = u16::from(high) ^ look(none, low ^ last);
+    }
+    crc
+}
+
 /// The polynomial with its bits reversed, and the CRC of no bytes.
 const POLYNOMIAL: u16 = 0xA001;
 const START: u16 = 0xFFFF;
@@ -143,11 +173,12 @@ mod tests {
     }
 
     #[test]
-    fn the_three_ways_to_the_crc_agree() {
+    fn the_ways_to_the_crc_agree() {
         let bytes: [u8; 256] = core::array::from_fn(|index| (index * 167 + 13) as u8);
         for start in 0..bytes.len() {
-            for length in [0, 1, 2, 3, 8, 40] {
+            for length in [0, 1, 2, 3, 4, 5, 6, 7, 8, 40] {
                 let Some(bytes) = bytes.get(start..start + length) else { continue };
+                assert_eq!(crc16_sliced(bytes), crc16(bytes));
                 assert_eq!(crc16_small(bytes), crc16(bytes));
                 assert_eq!(crc16_bitwise(bytes), crc16(bytes));
             }

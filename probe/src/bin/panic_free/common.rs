@@ -55,6 +55,7 @@ fn writer() {
 #[inline(never)]
 fn checksums() {
     sink(checksum::crc16(bytes()));
+    sink(checksum::crc16_sliced(bytes()));
     sink(checksum::crc16_small(bytes()));
     sink(checksum::crc16_bitwise(bytes()));
     sink(checksum::lrc(bytes()));
