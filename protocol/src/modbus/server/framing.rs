@@ -1,6 +1,6 @@
+use super::Silence;
 use super::owner::Server;
 use super::respond::{answer, respond};
-use super::{Audience, Silence};
 use crate::checksum::{self, CRC_LENGTH};
 use crate::modbus::identification::MEI_TYPE;
 use crate::modbus::rtu::{FRAME_MAX, FRAME_MIN, FrameError};
@@ -22,8 +22,8 @@ pub fn rtu<'b>(
     rtu_with(checksum::crc16, server, unit, frame, out)
 }
 
-/// [`rtu`] with another way to compute the CRC: [`checksum::crc16_small`] or [`checksum::crc16_bitwise`] where flash
-/// is dearer than time, or a function of the board that uses its CRC unit.
+/// [`rtu`] with another way to compute the CRC: [`checksum::crc16_sliced`] on a host, [`checksum::crc16_small`] or
+/// [`checksum::crc16_bitwise`] where flash is dearer than time, or a function of the board that uses its CRC unit.
 ///
 /// # Errors
 /// [`Silence`]: why there is no answer.
@@ -42,18 +42,16 @@ pub fn rtu_with<'b>(
     else {
         return Err(Silence::Frame(FrameError::Length));
     };
-    let audience = audience(unit, to);
     // a frame for another unit need not be right
-    if audience == Audience::Other {
+    if to != unit && to != BROADCAST {
         return Err(Silence::OtherUnit);
     }
     if crc16(content) != u16::from_le_bytes(*crc) {
         return Err(Silence::Frame(FrameError::Checksum));
     }
-    let pdu = content.split_first().map_or(&[][..], |(_, pdu)| pdu);
     // the CRC must find room after the owner was called
     let room = out.len().checked_sub(CRC_LENGTH).ok_or(Silence::NoSpace)?;
-    let used = serial(server, to, audience, pdu, out.get_mut(..room).unwrap_or(&mut []))?;
+    let used = usize::from(serial(server, content, out.get_mut(..room).unwrap_or(&mut []))?);
     let (head, rest) = out.split_at_mut_checked(used).ok_or(Silence::NoSpace)?;
     let place = rest.first_chunk_mut::<CRC_LENGTH>().ok_or(Silence::NoSpace)?;
     *place = crc16(head).to_le_bytes();
@@ -70,14 +68,13 @@ pub fn ascii<'b>(
     frame: &ascii::Frame<'_>,
     out: &'b mut [u8],
 ) -> Result<&'b [u8], Silence> {
-    let audience = audience(unit, frame.unit);
-    if audience == Audience::Other {
+    if frame.unit != unit && frame.unit != BROADCAST {
         return Err(Silence::OtherUnit);
     }
     // bytes become characters after the owner was called
     let room = ascii::content_length(out.len());
-    let used = serial(server, frame.unit, audience, frame.pdu, out.get_mut(..room).unwrap_or(&mut []))?;
-    ascii::spread(out, used).map_err(|NoSpace| Silence::NoSpace)
+    let used = parts(server, frame.unit, frame.pdu, out.get_mut(..room).unwrap_or(&mut []))?;
+    ascii::spread(out, used.into()).map_err(|NoSpace| Silence::NoSpace)
 }
 
 /// Answers a frame of Modbus TCP into `out`. Whether its unit is meant is for the caller to know: most servers answer
@@ -97,38 +94,31 @@ pub fn tcp<'b>(
     out.get(..tcp::HEADER_LENGTH.saturating_add(length)).ok_or(Silence::NoSpace)
 }
 
-const fn audience(unit: u8, to: u8) -> Audience {
-    match to {
-        BROADCAST => Audience::Broadcast,
-        _ if to == unit => Audience::Unit,
-        _ => Audience::Other,
-    }
-}
-
 /// [`Request::is_read`](crate::modbus::Request::is_read), told by the first bytes.
 fn reads(pdu: &[u8]) -> bool {
     pdu.first().is_some_and(|code| FunctionCode::from_code(*code).is_read())
         || pdu.starts_with(&[FunctionCode::EncapsulatedInterface.code(), MEI_TYPE])
 }
 
-/// Unit address and data unit of the response; its length.
-fn serial(
-    server: &mut impl Server,
-    to: u8,
-    audience: Audience,
-    pdu: &[u8],
-    out: &mut [u8],
-) -> Result<usize, Silence> {
-    if audience == Audience::Broadcast && reads(pdu) {
+/// Unit address and data unit of the response to a request of both; their length.
+fn serial(server: &mut impl Server, request: &[u8], out: &mut [u8]) -> Result<u16, Silence> {
+    let (&to, pdu) = request.split_first().ok_or(Silence::NoRequest)?;
+    parts(server, to, pdu, out)
+}
+
+/// [`serial`] of a request in two parts.
+fn parts(server: &mut impl Server, to: u8, pdu: &[u8], out: &mut [u8]) -> Result<u16, Silence> {
+    let broadcast = to == BROADCAST;
+    if broadcast && reads(pdu) {
         return Err(Silence::BroadcastRead);
     }
     let mut writer = Writer::new(out);
     writer.u8(to).map_err(|NoSpace| Silence::NoSpace)?;
     let exception = answer(server, pdu, &mut writer)?;
-    match audience {
-        Audience::Broadcast => Err(Silence::Broadcast(exception)),
-        Audience::Unit | Audience::Other => Ok(writer.written().len()),
+    if broadcast {
+        return Err(Silence::Broadcast(exception));
     }
+    u16::try_from(writer.written().len()).map_err(|_| Silence::NoSpace)
 }
 
 #[cfg(test)]
@@ -153,7 +143,7 @@ mod tests {
         let mut tables = Tables::new();
         assert_eq!(rtu(&mut tables, 7, &frame, &mut out), Ok(&frame[..]));
         assert_eq!(tables.holding_registers, [0, 0x0203, 0, 0]);
-        for crc in [checksum::crc16, checksum::crc16_small, checksum::crc16_bitwise] {
+        for crc in [checksum::crc16, checksum::crc16_sliced, checksum::crc16_small, checksum::crc16_bitwise] {
             assert_eq!(rtu_with(crc, &mut Tables::new(), 7, &frame, &mut out), Ok(&frame[..]));
         }
         let read = request(7, &Request::ReadHoldingRegisters(Range::new(4, 1)));

@@ -46,6 +46,7 @@ fn end(range: Range) -> usize {
     usize::from(range.start).saturating_add(range.quantity.into())
 }
 
+#[inline]
 fn read_bits(table: &[u8], range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
     if end(range) > table.len().saturating_mul(8) {
         return Err(ABSENT);

@@ -4,9 +4,9 @@ use super::rarer::rarer;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{
     COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, READ_BITS_MAX, READ_REGISTERS_MAX, Range, Request,
-    WRITE_BITS_MAX, WRITE_REGISTERS_MAX, bytes_of_bits, request,
+    WRITE_BITS_MAX, WRITE_REGISTERS_MAX, bytes_of_bits,
 };
-use crate::wire::{NoSpace, Reader, Writer};
+use crate::wire::{NoSpace, Writer};
 
 /// Answers a request's data unit into `out`: the response, or an exception by the specification's state diagrams.
 ///
@@ -26,17 +26,13 @@ pub(super) fn answer(
     pdu: &[u8],
     writer: &mut Writer<'_>,
 ) -> Result<Option<ExceptionCode>, Silence> {
-    let mut reader = Reader::new(pdu);
-    let code = match reader.u8() {
-        Ok(code @ 0x01..0x80) => code,
-        _ => return Err(Silence::NoRequest),
-    };
+    let Some((&code @ 0x01..0x80, data)) = pdu.split_first() else { return Err(Silence::NoRequest) };
     let function = FunctionCode::from_code(code);
     let start = writer.written().len();
     let result = if !server.supports(function) {
         Err(Failure::Exception(ExceptionCode::IllegalFunction))
     } else if function.is_basic() {
-        basic(server, code, function, reader, writer)
+        basic(server, code, function, data, writer)
     } else {
         rarer(server, pdu, writer)
     };
@@ -79,19 +75,18 @@ fn basic(
     server: &mut impl Server,
     code: u8,
     function: FunctionCode,
-    mut reader: Reader<'_>,
+    data: &[u8],
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     use FunctionCode as F;
-    let range @ Range { start: address, quantity: value } = request::range(&mut reader)?;
-    let writes_many = matches!(function, F::WriteMultipleCoils | F::WriteMultipleRegisters);
-    let data = if writes_many { request::counted(&mut reader)? } else { &[] };
-    if !reader.rest().is_empty() {
+    let Some((&head @ [a, b, c, d], data)) = data.split_first_chunk() else {
         return Err(ExceptionCode::IllegalDataValue.into());
-    }
+    };
+    let range @ Range { start: address, quantity: value } =
+        Range::new(u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
     match function {
         F::ReadCoils | F::ReadDiscreteInputs => {
-            judge(range, READ_BITS_MAX, true)?;
+            judge(range, READ_BITS_MAX, data.is_empty())?;
             let data = reading(code, bytes_of_bits(range.quantity), writer)?;
             let mut bits = BitWriter::new(data, range.quantity);
             match function {
@@ -101,7 +96,7 @@ fn basic(
             complete(bits.remaining() == 0)?;
         }
         F::ReadHoldingRegisters | F::ReadInputRegisters => {
-            judge(range, READ_REGISTERS_MAX, true)?;
+            judge(range, READ_REGISTERS_MAX, data.is_empty())?;
             let data = reading(code, bytes_of_registers(range.quantity), writer)?;
             let mut registers = RegisterWriter::new(data);
             match function {
@@ -112,29 +107,46 @@ fn basic(
         }
         F::WriteSingleCoil => {
             let on = match value {
-                COIL_ON => 1,
-                COIL_OFF => 0,
+                COIL_ON if data.is_empty() => 1,
+                COIL_OFF if data.is_empty() => 0,
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
-            written(code, [address, value], writer)?;
+            echoed(code, head, writer)?;
             server.write_coils(Range::new(address, 1), Bits::new(&[on], 1))?;
         }
         F::WriteSingleRegister => {
-            written(code, [address, value], writer)?;
-            server.write_registers(Range::new(address, 1), Registers::new(&value.to_be_bytes()))?;
+            if !data.is_empty() {
+                return Err(ExceptionCode::IllegalDataValue.into());
+            }
+            echoed(code, head, writer)?;
+            server.write_registers(Range::new(address, 1), Registers::new(&[c, d]))?;
         }
         F::WriteMultipleCoils => {
-            judge(range, WRITE_BITS_MAX, data.len() == bytes_of_bits(range.quantity))?;
-            written(code, [address, value], writer)?;
-            server.write_coils(range, Bits::new(data, range.quantity))?;
+            let values = counted(range, WRITE_BITS_MAX, bytes_of_bits(range.quantity), data)?;
+            echoed(code, head, writer)?;
+            server.write_coils(range, Bits::new(values, range.quantity))?;
         }
         F::WriteMultipleRegisters => {
-            judge(range, WRITE_REGISTERS_MAX, data.len() == bytes_of_registers(range.quantity))?;
-            written(code, [address, value], writer)?;
-            server.write_registers(range, Registers::new(data))?;
+            let values = counted(range, WRITE_REGISTERS_MAX, bytes_of_registers(range.quantity), data)?;
+            echoed(code, head, writer)?;
+            server.write_registers(range, Registers::new(values))?;
         }
         _ => return Err(ExceptionCode::IllegalFunction.into()),
     }
+    Ok(())
+}
+
+/// The values of a write of many: `data` is their byte count, which is to be `bytes`, and as many bytes.
+fn counted(range: Range, max: u16, bytes: usize, data: &[u8]) -> Result<&[u8], ExceptionCode> {
+    let (count, values) = data.split_first().ok_or(ExceptionCode::IllegalDataValue)?;
+    judge(range, max, values.len() == bytes && usize::from(*count) == bytes)?;
+    Ok(values)
+}
+
+/// Appends the response to a write: function code, and what stood behind it in the request.
+#[inline]
+fn echoed(function: u8, [a, b, c, d]: [u8; 4], writer: &mut Writer<'_>) -> Result<(), Failure> {
+    *writer.reserve(5)?.first_chunk_mut().ok_or(Failure::NoSpace)? = [function, a, b, c, d];
     Ok(())
 }
 
@@ -160,8 +172,8 @@ pub(crate) fn written(
     [first, second]: [u16; 2],
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
-    let place = writer.reserve(5)?.first_chunk_mut().ok_or(Failure::NoSpace)?;
     let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
+    let place = writer.reserve(5)?.first_chunk_mut().ok_or(Failure::NoSpace)?;
     *place = [function, a, b, c, d];
     Ok(())
 }

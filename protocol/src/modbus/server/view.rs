@@ -144,6 +144,12 @@ impl<'a> BitWriter<'a> {
     /// `quantity` bits for the front of `bytes`.
     #[must_use]
     pub const fn new(bytes: &'a mut [u8], quantity: u16) -> Self {
+        let used = bytes_of_bits(quantity);
+        let used = if used < bytes.len() { used } else { bytes.len() };
+        let bytes = match bytes.split_at_mut_checked(used) {
+            Some((bytes, _)) => bytes,
+            None => &mut [],
+        };
         Self { bytes, quantity, written: 0 }
     }
 
@@ -167,20 +173,35 @@ impl<'a> BitWriter<'a> {
 
     /// All bits at once, from a packed table whose bit `first` becomes the first one; bits past its end are 0.
     pub fn copy_from(&mut self, table: &[u8], first: u16) {
-        let mut source = table.iter().skip(usize::from(first >> 3)).copied();
-        let mut low = source.next().unwrap_or(0);
-        let used = bytes_of_bits(self.quantity);
-        for byte in self.bytes.iter_mut().take(used) {
-            let high = source.next().unwrap_or(0);
-            let [packed, _] = (u16::from_le_bytes([low, high]) >> (first & 7)).to_le_bytes();
-            *byte = packed;
-            low = high;
+        let (mut window, mut source) = match table.get(usize::from(first >> 3)..) {
+            Some([byte, source @ ..]) => (u32::from(*byte), source),
+            _ => (0, &[][..]),
+        };
+        let (pairs, single) = self.bytes.as_chunks_mut::<2>();
+        for pair in pairs {
+            let next = match source {
+                [low, high, behind @ ..] => {
+                    source = behind;
+                    u16::from_le_bytes([*low, *high])
+                }
+                [low] => {
+                    source = &[];
+                    u16::from(*low)
+                }
+                [] => 0,
+            };
+            window |= u32::from(next) << 8;
+            let [low, high, ..] = (window >> (first & 7)).to_le_bytes();
+            *pair = [low, high];
+            window >>= 16;
         }
-        let filled = self.quantity & 7;
-        if let Some(last) = self.bytes.get_mut(..used).and_then(<[u8]>::last_mut)
-            && filled != 0
-        {
-            *last &= 1u8.wrapping_shl(filled.into()).wrapping_sub(1);
+        if let [last] = single {
+            window |= source.first().copied().map_or(0, u32::from) << 8;
+            [*last, ..] = (window >> (first & 7)).to_le_bytes();
+        }
+        // the byte that is not full, if there is one
+        if let Some(last) = self.bytes.get_mut(usize::from(self.quantity >> 3)) {
+            *last &= 1u8.wrapping_shl(u32::from(self.quantity & 7)).wrapping_sub(1);
         }
         self.written = self.quantity;
     }
@@ -230,6 +251,13 @@ mod tests {
                 assert!(packed[used..].iter().all(|byte| *byte == 0xEE), "bytes past the last bit stay");
             }
         }
+    }
+
+    #[test]
+    fn bits_for_which_there_are_no_bytes_are_left_out() {
+        let mut short = [0xEE];
+        BitWriter::new(&mut short, 12).copy_from(&[0xF0, 0x0F], 4);
+        assert_eq!(short, [0xFF], "all bits of a byte that is full");
     }
 
     #[test]
