@@ -81,6 +81,7 @@ fn main() -> ExitCode {
     nothing();
     let ours = [
         ask::<server::WithTable>("server"),
+        ask::<server::WithSlices>("server_sliced"),
         ask::<server::WithSmallTable>("server_small"),
         ask::<server::WithoutTable>("server_bitwise"),
     ];

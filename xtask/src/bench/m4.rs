@@ -18,8 +18,9 @@ const PACKAGE: &str = "jointbus-bench-m4";
 const EMPTY: &str = "empty";
 
 /// Ours.
-pub(crate) const OURS: [&str; 10] = [
+pub(crate) const OURS: [&str; 11] = [
     "server",
+    "server_sliced",
     "server_small",
     "server_bitwise",
     "nst",
