@@ -19,6 +19,8 @@ pub struct Debugger {
 impl Debugger {
     /// Number of the stack pointer.
     pub const SP: u8 = 13;
+    /// Number of the link register.
+    pub const LR: u8 = 14;
     /// Number of the program counter.
     pub const PC: u8 = 15;
 
@@ -88,6 +90,28 @@ impl Debugger {
         Ok(())
     }
 
+    /// Has the processor run a function of the image, with up to four arguments, until it returns to `back`: an address
+    /// that it does not come to otherwise. The first register is what it returns; it stays stopped there.
+    ///
+    /// # Errors
+    /// As [`Self::stop`].
+    pub fn call(&mut self, function: u32, arguments: &[u32], back: u32) -> Result<u32> {
+        for (number, argument) in (0..).zip(arguments) {
+            self.set_register(number, *argument)?;
+        }
+        // the lowest bit says that the code is Thumb
+        self.set_register(Self::LR, back | 1)?;
+        self.set_register(Self::PC, function & !1)?;
+        self.command(&format!("Z1,{back:x},2"))?;
+        self.send("c")?;
+        let answer = self.packet()?;
+        ensure!(answer.starts_with(['T', 'S']), "the debugger port answers {answer:?} instead of a stop");
+        self.command(&format!("z1,{back:x},2"))?;
+        let stopped = self.register(Self::PC)?;
+        ensure!(stopped == back & !1, "it has stopped at {stopped:#x}");
+        self.register(0)
+    }
+
     /// Lets the processor go on.
     ///
     /// # Errors
@@ -104,8 +128,7 @@ impl Debugger {
 
     /// Sends a packet; the content of the answer.
     fn ask(&mut self, content: &str) -> Result<String> {
-        let sum = content.bytes().fold(0u8, u8::wrapping_add);
-        self.stream.write_all(format!("${content}#{sum:02x}").as_bytes())?;
+        self.send(content)?;
         loop {
             let answer = self.packet()?;
             // that the processor has stopped is told when it is, asked or not
@@ -113,6 +136,12 @@ impl Debugger {
                 return Ok(answer);
             }
         }
+    }
+
+    fn send(&mut self, content: &str) -> Result<()> {
+        let sum = content.bytes().fold(0u8, u8::wrapping_add);
+        self.stream.write_all(format!("${content}#{sum:02x}").as_bytes())?;
+        Ok(())
     }
 
     fn packet(&mut self) -> Result<String> {
