@@ -25,6 +25,7 @@ impl Instant {
 
     /// This moment and `span` more, at most the end of time.
     #[must_use]
+    #[inline(never)] // in 64 bits it is no short one on a part of 32, and it is asked in many places
     pub const fn after(self, span: Duration) -> Self {
         Self(self.0.saturating_add(span.0))
     }

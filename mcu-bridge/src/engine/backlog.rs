@@ -91,6 +91,7 @@ impl Backlog {
     }
 
     /// The bytes of a request.
+    #[inline(never)] // asked in many places
     pub(super) fn content(&self, place: Place) -> &[u8] {
         self.kept.get(usize::from(place.0)).map_or(&[], |kept| &kept.content)
     }

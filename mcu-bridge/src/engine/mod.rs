@@ -502,6 +502,7 @@ impl Core {
         }
     }
 
+    #[inline(never)] // asked in many places
     fn serial_parts(&mut self, port: Port) -> Option<(&mut SerialBus, Surroundings<'_>)> {
         let [host, rs485_a, rs485_b, _] = &mut self.counters;
         let (bus, counters) = match port {
@@ -523,6 +524,7 @@ impl Core {
         Some((bus, around))
     }
 
+    #[inline(never)] // likewise
     fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
         let [host, _, _, counters] = &mut self.counters;
         let around = Surroundings {

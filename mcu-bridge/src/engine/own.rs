@@ -315,6 +315,7 @@ impl Core {
         Holding { network: &self.staged, limits: &self.limits, slots }
     }
 
+    #[inline(never)] // asked in many places
     fn slots(&self) -> SlotSettings {
         core::array::from_fn(|index| {
             self.polling.slot(index).map_or((0, 0), |slot| (slot.unit, slot.period_100us))

@@ -211,6 +211,7 @@ fn set_plain(
     Ok(())
 }
 
+#[inline(never)] // asked in many places
 fn byte(value: u16) -> Result<u8, ExceptionCode> {
     u8::try_from(value).map_err(|_| ExceptionCode::IllegalDataValue)
 }
