@@ -330,6 +330,7 @@ impl SerialBus {
     }
 
     /// Forgets received bytes that belong to nothing.
+    #[inline(never)]
     fn discard(&mut self, around: &mut Surroundings<'_>) {
         if self.listener.discard() {
             count(&mut around.counters.foreign_or_late);
