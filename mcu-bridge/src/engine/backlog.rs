@@ -140,19 +140,14 @@ impl Backlog {
 
     /// Drops the requests that can no longer be sent in time.
     pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        let Self { queue, kept, .. } = self;
-        if queue.0.is_empty() {
-            return;
+        let late = |waiting: &Waiting| now >= waiting.request.expires;
+        while let Some(index) = self.queue.0.iter().position(late)
+            && let Some(waiting) = self.queue.remove(index)
+        {
+            count(&mut around.counters.expired);
+            around.fail(&waiting.request);
+            waiting.place.free(&mut self.kept);
         }
-        queue.0.retain(|waiting| {
-            let late = now >= waiting.request.expires;
-            if late {
-                count(&mut around.counters.expired);
-                around.fail(&waiting.request);
-                waiting.place.free(kept);
-            }
-            !late
-        });
     }
 
     /// When the next request or reply is given up.
@@ -225,11 +220,15 @@ impl Queue {
             }
             chosen = chosen.or(Some(index));
         }
-        let chosen = chosen?;
-        let waiting = self.0.get(chosen).copied();
+        self.remove(chosen?)
+    }
+
+    #[inline(never)] // in several places
+    fn remove(&mut self, index: usize) -> Option<Waiting> {
+        let waiting = self.0.get(index).copied();
         // `remove` would bring `memmove` into the image
         let mut indices = 0..;
-        self.0.retain(|_| indices.next() != Some(chosen));
+        self.0.retain(|_| indices.next() != Some(index));
         waiting
     }
 
@@ -286,9 +285,15 @@ impl OwedReplies {
     pub(super) fn expire(&mut self, now: Instant) -> bool {
         let before = self.0.len();
         if before > 0 {
-            self.0.retain(|owed| now < owed.until);
+            self.keep_from(now);
         }
         self.0.len() < before
+    }
+
+    /// Keeps what has replies left, and is not forgotten by then.
+    #[inline(never)] // in several places
+    fn keep_from(&mut self, now: Instant) {
+        self.0.retain(|owed| owed.replies > 0 && now < owed.until);
     }
 
     /// When the next one is forgotten.
@@ -313,7 +318,7 @@ impl OwedReplies {
         owed.replies = owed.replies.saturating_sub(1);
         let left = owed.until.since(now);
         let back = owed.probed.filter(|(_, before)| left > (*before).into()).map(|(unit, _)| unit);
-        self.0.retain(|owed| owed.replies > 0);
+        self.keep_from(Instant::default());
         back
     }
 

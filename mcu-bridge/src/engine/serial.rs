@@ -116,6 +116,7 @@ impl SerialBus {
     }
 
     /// The last stop bit has left and the driver is off.
+    #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn transmitted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if !self.pending().is_empty() {
             return;
@@ -330,7 +331,7 @@ impl SerialBus {
     }
 
     /// Forgets received bytes that belong to nothing.
-    #[inline(never)]
+    #[inline(never)] // in many places
     fn discard(&mut self, around: &mut Surroundings<'_>) {
         if self.listener.discard() {
             count(&mut around.counters.foreign_or_late);
