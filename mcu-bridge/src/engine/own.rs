@@ -290,22 +290,20 @@ impl Core {
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
         let former = self.slots();
-        let mut slots = former;
-        let mut registers =
-            HoldingMut { network: &mut self.staged, limits: &mut self.limits, slots: &mut slots };
+        // into copies, so that a write is all or nothing
+        let (mut network, mut limits, mut slots) = (self.staged, self.limits, former);
+        let mut registers = HoldingMut { network: &mut network, limits: &mut limits, slots: &mut slots };
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
-                _ => registers.judge(address, value)?,
+                _ => registers.write(address, value)?,
             }
         }
         if let Some(command) = command {
             return self.command(command, now);
         }
-        for (address, value) in range.addresses().zip(values.iter()) {
-            registers.write(address, value)?;
-        }
+        (self.staged, self.limits) = (network, limits);
         self.set_slots(&former, &slots, now);
         Ok(())
     }

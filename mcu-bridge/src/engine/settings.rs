@@ -145,25 +145,7 @@ impl Holding<'_> {
 }
 
 impl HoldingMut<'_> {
-    /// Whether a holding register takes a value: each is judged by itself.
-    pub(super) fn judge(&self, address: u16, value: u16) -> Result<(), ExceptionCode> {
-        let offset = address.wrapping_sub(0x0100);
-        // what is written is a copy, of a port, a route, or the few others
-        match address {
-            0x0010..=0x002F => {
-                let offset = address.wrapping_sub(0x0010);
-                let port = self.network.ports.get(usize::from(offset / 8)).copied();
-                port.ok_or(UNLISTED)?.set_register(offset % 8, value)
-            }
-            0x0100..=0x01FF => {
-                let row = self.network.routes.get(usize::from(offset / 0x10)).copied();
-                row.ok_or(UNLISTED)?.set_register(offset % 0x10, value)
-            }
-            _ => set_plain(&mut self.limits.clone(), &mut self.slots.clone(), address, value),
-        }
-    }
-
-    /// Sets a holding register.
+    /// Sets a holding register; each value is judged by itself.
     pub(super) fn write(&mut self, address: u16, value: u16) -> Result<(), ExceptionCode> {
         const PORTS: u16 = Port::ALL.len() as u16;
         const ROWS: u16 = ROUTES as u16;
