@@ -447,10 +447,9 @@ impl Core {
         };
         let mut moved = [false; 4];
         for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
-            quarantine.forget(old);
-            quarantine.forget(new);
-            for port in [old, new].into_iter().filter_map(|row| row.bus.port()) {
-                if let Some(moved) = moved.get_mut(port.index()) {
+            for row in [old, new] {
+                quarantine.forget(row);
+                if let Some(moved) = row.bus.port().and_then(|port| moved.get_mut(port.index())) {
                     *moved = true;
                 }
             }

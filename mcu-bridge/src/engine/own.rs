@@ -136,7 +136,9 @@ impl Server for Own<'_> {
     ) -> Result<(), ExceptionCode> {
         let slots = self.core.slots();
         let registers = self.core.holding(&slots);
-        out.extend(range.addresses().map(|address| registers.read(address)));
+        for address in range.addresses() {
+            out.push(registers.read(address));
+        }
         Ok(())
     }
 
@@ -148,7 +150,9 @@ impl Server for Own<'_> {
         if !range.within(0, INPUT_LAST) {
             return Err(ExceptionCode::IllegalDataAddress);
         }
-        out.extend(range.addresses().map(|address| self.core.input(address, self.now)));
+        for address in range.addresses() {
+            out.push(self.core.input(address, self.now));
+        }
         Ok(())
     }
 
