@@ -1,5 +1,6 @@
 //! What waits for a bus, in which order, and which replies its devices still owe.
 
+use super::NEVER;
 use super::counters::count;
 use super::host::FRAME_MAX;
 use super::polling;
@@ -151,8 +152,10 @@ impl Backlog {
     }
 
     /// When the next request or reply is given up.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        self.queue.deadline().into_iter().chain(self.owed.deadline()).min()
+    pub(super) fn deadline(&self) -> Instant {
+        let expires = self.queue.0.iter().map(|waiting| waiting.request.expires);
+        let until = self.owed.0.iter().map(|owed| owed.until);
+        expires.chain(until).fold(NEVER, Instant::min)
     }
 
     /// A reply answers a request of which others are owed, or will be.
@@ -231,11 +234,6 @@ impl Queue {
         self.0.retain(|_| indices.next() != Some(index));
         waiting
     }
-
-    /// When the first request expires.
-    fn deadline(&self) -> Option<Instant> {
-        self.0.iter().map(|waiting| waiting.request.expires).min()
-    }
 }
 
 /// Replies of one kind that may still come.
@@ -294,11 +292,6 @@ impl OwedReplies {
     #[inline(never)] // in several places
     fn keep_from(&mut self, now: Instant) {
         self.0.retain(|owed| owed.replies > 0 && now < owed.until);
-    }
-
-    /// When the next one is forgotten.
-    fn deadline(&self) -> Option<Instant> {
-        self.0.iter().map(|owed| owed.until).min()
     }
 
     /// Whether a request would have to wait for one.

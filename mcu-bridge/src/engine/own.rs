@@ -4,7 +4,7 @@ use super::config::Limits;
 use super::counters::Counters;
 use super::polling::Slot;
 use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
-use super::{Change, Core, Engine, Idle};
+use super::{AT_ONCE, Change, Core, Engine};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
@@ -376,7 +376,7 @@ impl Engine {
     #[inline(never)] // what it needs of the stack is not needed beside the engine's first state
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
         let Self { core, .. } = self;
-        core.idle = Idle::Never;
+        core.idle_until = AT_ONCE;
         core.confirmed = settings.network;
         core.limits = settings.limits;
         core.set_slots(&SlotSettings::default(), &settings.slots, now);
