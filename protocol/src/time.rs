@@ -32,6 +32,7 @@ impl Instant {
 
     /// The span since `earlier`; none where that is later.
     #[must_use]
+    #[inline(never)] // likewise
     pub const fn since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
     }

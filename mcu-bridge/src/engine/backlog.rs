@@ -153,9 +153,8 @@ impl Backlog {
 
     /// When the next request or reply is given up.
     pub(super) fn deadline(&self) -> Instant {
-        let expires = self.queue.0.iter().map(|waiting| waiting.request.expires);
-        let until = self.owed.0.iter().map(|owed| owed.until);
-        expires.chain(until).fold(NEVER, Instant::min)
+        let expires = self.queue.0.iter().fold(NEVER, |first, waiting| first.min(waiting.request.expires));
+        self.owed.0.iter().fold(expires, |first, owed| first.min(owed.until))
     }
 
     /// A reply answers a request of which others are owed, or will be.

@@ -28,17 +28,15 @@ const STORED_VERSION: u16 = 1;
 
 const PORT_WORDS: u16 = 5;
 const ROUTE_WORDS: u16 = 11;
-const LIMITS: core::ops::Range<u16> = 0x0040..0x0044;
-const SLOT_REGISTERS: core::ops::Range<u16> = 0x0050..0x0050 + 2 * SLOTS as u16;
 const WORDS: usize = Port::ALL.len() * PORT_WORDS as usize + 4 + 2 * SLOTS + ROUTES * ROUTE_WORDS as usize;
 
 /// The listed registers of the ports, the limits and the slots.
 fn plain_registers() -> impl Iterator<Item = u16> {
-    let ports = (0..Port::ALL.len() as u16).flat_map(|port| {
-        let first = port.wrapping_mul(8).wrapping_add(0x0010);
-        first..first.wrapping_add(PORT_WORDS)
-    });
-    ports.chain(LIMITS).chain(SLOT_REGISTERS)
+    (0x0010..0x0060).filter(|address| match address {
+        0x0010..=0x002F => address % 8 < PORT_WORDS,
+        0x0040..=0x0043 | 0x0050.. => true,
+        _ => false,
+    })
 }
 
 /// The holding registers, where their values are.
