@@ -435,7 +435,7 @@ impl Core {
             }
         };
         let mut moved = [false; 4];
-        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
+        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| !old.reads_as(new)) {
             for row in [old, new] {
                 quarantine.forget(row);
                 if let Some(moved) = row.bus.port().and_then(|port| moved.get_mut(port.index())) {
@@ -446,8 +446,9 @@ impl Core {
         for ((old, new), (moved, changed)) in
             live.ports.iter().zip(&next.ports).zip(moved.iter_mut().zip(changed_ports))
         {
-            *moved |= old != new;
-            *changed |= old != new;
+            let is_changed = !old.reads_as(new);
+            *moved |= is_changed;
+            *changed |= is_changed;
         }
         *live = *next;
         router.learn(live);

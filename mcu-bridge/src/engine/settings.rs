@@ -210,6 +210,11 @@ fn flag(value: u16) -> Result<bool, ExceptionCode> {
 
 /// Registers 0x0010 + 8 p.
 impl PortConfig {
+    /// Whether the host reads the same of both: shorter than to compare what is behind it.
+    pub(super) fn reads_as(&self, other: &Self) -> bool {
+        (0..PORT_WORDS).all(|offset| self.register(offset) == other.register(offset))
+    }
+
     fn register(&self, offset: u16) -> u16 {
         match offset {
             0 => self.rate,
@@ -256,6 +261,11 @@ impl PortConfig {
 
 /// Registers 0x0100 + 0x10 r.
 impl Route {
+    /// Whether the host reads the same of both: shorter than to compare what is behind it.
+    pub(super) fn reads_as(&self, other: &Self) -> bool {
+        (0..ROUTE_WORDS).all(|offset| self.register(offset) == other.register(offset))
+    }
+
     fn register(&self, offset: u16) -> u16 {
         if !self.is_used() && matches!(offset, 2..=4) {
             return 0;
