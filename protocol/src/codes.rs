@@ -35,6 +35,7 @@ macro_rules! code_table {
 
             /// The code on the wire.
             #[must_use]
+            #[inline(never)] // a long one, and asked in many places
             pub const fn code(self) -> $code_type {
                 match self {
                     $(Self::$variant => $code,)+

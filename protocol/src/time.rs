@@ -25,12 +25,14 @@ impl Instant {
 
     /// This moment and `span` more, at most the end of time.
     #[must_use]
+    #[inline(never)] // in 64 bits it is no short one on a part of 32, and it is asked in many places
     pub const fn after(self, span: Duration) -> Self {
         Self(self.0.saturating_add(span.0))
     }
 
     /// The span since `earlier`; none where that is later.
     #[must_use]
+    #[inline(never)] // likewise
     pub const fn since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
     }

@@ -1,5 +1,6 @@
 //! What waits for a bus, in which order, and which replies its devices still owe.
 
+use super::NEVER;
 use super::counters::count;
 use super::host::FRAME_MAX;
 use super::polling;
@@ -91,6 +92,7 @@ impl Backlog {
     }
 
     /// The bytes of a request.
+    #[inline(never)] // asked in many places
     pub(super) fn content(&self, place: Place) -> &[u8] {
         self.kept.get(usize::from(place.0)).map_or(&[], |kept| &kept.content)
     }
@@ -139,24 +141,20 @@ impl Backlog {
 
     /// Drops the requests that can no longer be sent in time.
     pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        let Self { queue, kept, .. } = self;
-        if queue.0.is_empty() {
-            return;
+        let late = |waiting: &Waiting| now >= waiting.request.expires;
+        while let Some(index) = self.queue.0.iter().position(late)
+            && let Some(waiting) = self.queue.remove(index)
+        {
+            count(&mut around.counters.expired);
+            around.fail(&waiting.request);
+            waiting.place.free(&mut self.kept);
         }
-        queue.0.retain(|waiting| {
-            let late = now >= waiting.request.expires;
-            if late {
-                count(&mut around.counters.expired);
-                around.fail(&waiting.request);
-                waiting.place.free(kept);
-            }
-            !late
-        });
     }
 
     /// When the next request or reply is given up.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        self.queue.deadline().into_iter().chain(self.owed.deadline()).min()
+    pub(super) fn deadline(&self) -> Instant {
+        let expires = self.queue.0.iter().fold(NEVER, |first, waiting| first.min(waiting.request.expires));
+        self.owed.0.iter().fold(expires, |first, owed| first.min(owed.until))
     }
 
     /// A reply answers a request of which others are owed, or will be.
@@ -224,17 +222,16 @@ impl Queue {
             }
             chosen = chosen.or(Some(index));
         }
-        let chosen = chosen?;
-        let waiting = self.0.get(chosen).copied();
-        // `remove` would bring `memmove` into the image
-        let mut indices = 0..;
-        self.0.retain(|_| indices.next() != Some(chosen));
-        waiting
+        self.remove(chosen?)
     }
 
-    /// When the first request expires.
-    fn deadline(&self) -> Option<Instant> {
-        self.0.iter().map(|waiting| waiting.request.expires).min()
+    #[inline(never)] // in several places
+    fn remove(&mut self, index: usize) -> Option<Waiting> {
+        let waiting = self.0.get(index).copied();
+        // `remove` would bring `memmove` into the image
+        let mut indices = 0..;
+        self.0.retain(|_| indices.next() != Some(index));
+        waiting
     }
 }
 
@@ -286,14 +283,15 @@ impl OwedReplies {
     pub(super) fn expire(&mut self, now: Instant) -> bool {
         let before = self.0.len();
         if before > 0 {
-            self.0.retain(|owed| now < owed.until);
+            self.keep_from(now);
         }
         self.0.len() < before
     }
 
-    /// When the next one is forgotten.
-    fn deadline(&self) -> Option<Instant> {
-        self.0.iter().map(|owed| owed.until).min()
+    /// Keeps what has replies left, and is not forgotten by then.
+    #[inline(never)] // in several places
+    fn keep_from(&mut self, now: Instant) {
+        self.0.retain(|owed| owed.replies > 0 && now < owed.until);
     }
 
     /// Whether a request would have to wait for one.
@@ -313,7 +311,7 @@ impl OwedReplies {
         owed.replies = owed.replies.saturating_sub(1);
         let left = owed.until.since(now);
         let back = owed.probed.filter(|before| left > (*before).into()).map(|_| owed.unit);
-        self.0.retain(|owed| owed.replies > 0);
+        self.keep_from(Instant::default());
         back
     }
 

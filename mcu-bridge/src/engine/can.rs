@@ -1,5 +1,6 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
+use super::NEVER;
 use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
 use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
@@ -279,14 +280,14 @@ impl CanBus {
     }
 
     /// When [`CanBus::poll`] has something to do next.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        let flight = self.flight.as_ref().and_then(|flight| match flight.phase {
-            Phase::Ready => Some(flight.transaction.request.expires),
-            Phase::Sending { limit, .. } => Some(limit),
-            Phase::Waiting { deadline, .. } => Some(deadline),
-            Phase::Aborting { .. } => None,
+    pub(super) fn deadline(&self) -> Instant {
+        let flight = self.flight.as_ref().map_or(NEVER, |flight| match flight.phase {
+            Phase::Ready => flight.transaction.request.expires,
+            Phase::Sending { limit, .. } => limit,
+            Phase::Waiting { deadline, .. } => deadline,
+            Phase::Aborting { .. } => NEVER,
         });
-        [flight, self.backlog.deadline(), self.back_off.restart].into_iter().flatten().min()
+        flight.min(self.backlog.deadline()).min(self.back_off.restart.unwrap_or(NEVER))
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.

@@ -291,6 +291,7 @@ impl PortConfig {
     }
 
     /// In 32 bits, which the processor divides by itself: a frame has at most 513 characters of 12 bits.
+    #[inline(never)] // asked in many places
     fn character_micros(&self, count: usize) -> u32 {
         let bits =
             9u32.wrapping_add(self.stop_bits.into()).wrapping_add(u32::from(self.parity != Parity::None));

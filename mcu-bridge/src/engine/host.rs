@@ -101,6 +101,7 @@ impl Output {
     }
 
     /// Queues the refusal of a Modbus request.
+    #[inline(never)] // in many places, and seldom
     pub(super) fn refuse(&mut self, counters: &mut Counters, unit: u8, function: u8, why: ExceptionCode) {
         self.relay(counters, unit, &[function | FunctionCode::EXCEPTION_FLAG, why.code()]);
     }

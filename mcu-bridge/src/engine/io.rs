@@ -71,7 +71,9 @@ impl Module for LocalIo {
 
     fn analog_inputs(&mut self, first: u8, values: &mut RegisterWriter<'_>) -> Result<(), ChannelError> {
         let analog = self.analog.ok_or(ChannelError::Failed)?;
-        values.extend(analog.into_iter().skip(first.into()));
+        for value in analog.iter().skip(first.into()) {
+            values.push(*value);
+        }
         Ok(())
     }
 

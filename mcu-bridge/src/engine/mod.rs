@@ -94,18 +94,15 @@ struct Core {
     io: LocalIo,
     /// When the last valid request came, until host silence has switched the outputs off.
     last_request: Option<Instant>,
-    /// Nothing has come since [`Engine::poll`] looked, and nothing is due before this.
-    idle: Idle,
+    /// Nothing is due before this, as far as [`Engine::poll`] knew, and nothing has come since.
+    idle_until: Instant,
 }
 
-/// Until when there is nothing to do.
-#[derive(Debug, Clone, Copy)]
-enum Idle {
-    /// Something came, or may be due.
-    Never,
-    Until(Instant),
-    Forever,
-}
+/// The moment of what never comes: the end of time.
+const NEVER: Instant = Instant::from_micros(u64::MAX);
+
+/// The moment of what is due already.
+const AT_ONCE: Instant = Instant::from_micros(0);
 
 /// Memory for an [`Engine`] that has not started. It is all zeros: a static one lies in `.bss` and takes no flash, and
 /// nothing of the engine is ever on the stack.
@@ -149,7 +146,7 @@ impl Place {
                 outputs: nxi6201::Card::resume(LocalOutputs::new(), NO_OUTPUTS),
                 io: LocalIo::new(),
                 last_request: None,
-                idle: Idle::Never,
+                idle_until: AT_ONCE,
             },
         })
     }
@@ -198,13 +195,14 @@ impl Engine {
         let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::new(), &nxi6201::Settings::default());
         core.outputs = outputs;
         core.last_request = Some(now);
+        core.polling.clear();
         core.rs485_a.start(now);
         core.rs485_b.start(now);
     }
 
     /// Takes bytes that a serial port received; the last one ended at `now`. The CAN port has none.
     pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         match port {
             Port::Host => self.receive_host(bytes, now),
             Port::Rs485A => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
@@ -236,7 +234,7 @@ impl Engine {
         if taken == 0 {
             return;
         }
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         match port {
             Port::Host => self.core.output.consume(taken),
             Port::Rs485A => self.core.rs485_a.consume(taken),
@@ -247,13 +245,13 @@ impl Engine {
 
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
     pub fn transmitted(&mut self, port: Port, now: Instant) {
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         self.core.on_serial(port, |bus, around| bus.transmitted(now, around));
     }
 
     /// Takes a frame that the CAN port received and that ended at `now`.
     pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         let (can, mut around) = self.core.can_parts();
         can.receive(frame, now, &mut around);
     }
@@ -265,7 +263,7 @@ impl Engine {
 
     /// A frame that the CAN port took was acknowledged on the bus.
     pub fn frame_sent(&mut self, now: Instant) {
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         let (can, mut around) = self.core.can_parts();
         can.frame_sent(now, &mut around);
     }
@@ -278,7 +276,7 @@ impl Engine {
 
     /// The CAN port has no frame to send any more.
     pub fn frames_aborted(&mut self, now: Instant) {
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         let (can, mut around) = self.core.can_parts();
         can.aborted(now, &mut around);
     }
@@ -301,7 +299,7 @@ impl Engine {
         if bus_off == self.core.can.is_off() {
             return;
         }
-        self.core.idle = Idle::Never;
+        self.core.idle_until = AT_ONCE;
         let (can, mut around) = self.core.can_parts();
         can.set_off(bus_off, now, &mut around);
     }
@@ -390,10 +388,8 @@ impl Engine {
 
     /// Does what is due at `now`; where nothing has come since the last time, and nothing is due, that is at once done.
     pub fn poll(&mut self, now: Instant) {
-        match self.core.idle {
-            Idle::Forever => return,
-            Idle::Until(until) if now < until => return,
-            Idle::Never | Idle::Until(_) => {}
+        if now < self.core.idle_until {
+            return;
         }
         self.core.roll_back(now);
         self.core.host_silence(now);
@@ -404,34 +400,27 @@ impl Engine {
         }
         let (can, mut around) = self.core.can_parts();
         can.poll(now, &mut around);
-        self.core.idle = self.idle();
-    }
-
-    #[inline(never)] // what it needs of the stack is not needed beside what is done
-    fn idle(&self) -> Idle {
-        self.deadline().map_or(Idle::Forever, Idle::Until)
+        self.core.idle_until = self.next_due();
     }
 
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
+        Some(self.next_due()).filter(|due| *due < NEVER)
+    }
+
+    #[inline(never)] // what it needs of the stack is not needed beside what is done
+    fn next_due(&self) -> Instant {
         let Self { host, core } = self;
         let silence = core.last_request.filter(|_| core.limits.host_silence_ms > 0);
-        let mut first = core.confirm_until;
-        first = sooner(first, silence.map(|last| last.after(core.host_silence_limit())));
-        first = sooner(first, host.deadline());
-        first = sooner(first, core.polling.deadline());
-        first = sooner(first, core.rs485_a.deadline(core.live.port(Port::Rs485A)));
-        first = sooner(first, core.rs485_b.deadline(core.live.port(Port::Rs485B)));
-        sooner(first, core.can.deadline())
-    }
-}
-
-/// The earlier one of two moments that may never come.
-fn sooner(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.min(other)),
-        (one, other) => one.or(other),
+        core.confirm_until
+            .unwrap_or(NEVER)
+            .min(silence.map_or(NEVER, |last| last.after(core.host_silence_limit())))
+            .min(host.deadline().unwrap_or(NEVER))
+            .min(core.polling.deadline())
+            .min(core.rs485_a.deadline(core.live.port(Port::Rs485A)))
+            .min(core.rs485_b.deadline(core.live.port(Port::Rs485B)))
+            .min(core.can.deadline())
     }
 }
 
@@ -452,11 +441,10 @@ impl Core {
             }
         };
         let mut moved = [false; 4];
-        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
-            quarantine.forget(old);
-            quarantine.forget(new);
-            for port in [old, new].into_iter().filter_map(|row| row.bus.port()) {
-                if let Some(moved) = moved.get_mut(port.index()) {
+        for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| !old.reads_as(new)) {
+            for row in [old, new] {
+                quarantine.forget(row);
+                if let Some(moved) = row.bus.port().and_then(|port| moved.get_mut(port.index())) {
                     *moved = true;
                 }
             }
@@ -464,8 +452,9 @@ impl Core {
         for ((old, new), (moved, changed)) in
             live.ports.iter().zip(&next.ports).zip(moved.iter_mut().zip(changed_ports))
         {
-            *moved |= old != new;
-            *changed |= old != new;
+            let is_changed = !old.reads_as(new);
+            *moved |= is_changed;
+            *changed |= is_changed;
         }
         *live = *next;
         router.learn(live);
@@ -508,6 +497,7 @@ impl Core {
         }
     }
 
+    #[inline(never)] // asked in many places
     fn serial_parts(&mut self, port: Port) -> Option<(&mut SerialBus, Surroundings<'_>)> {
         let [host, rs485_a, rs485_b, _] = &mut self.counters;
         let (bus, counters) = match port {
@@ -529,6 +519,7 @@ impl Core {
         Some((bus, around))
     }
 
+    #[inline(never)] // likewise
     fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
         let [host, _, _, counters] = &mut self.counters;
         let around = Surroundings {

@@ -4,7 +4,7 @@ use super::config::Limits;
 use super::counters::Counters;
 use super::polling::Slot;
 use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
-use super::{Change, Core, Engine, Idle};
+use super::{AT_ONCE, Change, Core, Engine};
 use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
 use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
@@ -136,7 +136,9 @@ impl Server for Own<'_> {
     ) -> Result<(), ExceptionCode> {
         let slots = self.core.slots();
         let registers = self.core.holding(&slots);
-        out.extend(range.addresses().map(|address| registers.read(address)));
+        for address in range.addresses() {
+            out.push(registers.read(address));
+        }
         Ok(())
     }
 
@@ -148,7 +150,9 @@ impl Server for Own<'_> {
         if !range.within(0, INPUT_LAST) {
             return Err(ExceptionCode::IllegalDataAddress);
         }
-        out.extend(range.addresses().map(|address| self.core.input(address, self.now)));
+        for address in range.addresses() {
+            out.push(self.core.input(address, self.now));
+        }
         Ok(())
     }
 
@@ -290,22 +294,20 @@ impl Core {
 
     fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
         let former = self.slots();
-        let mut slots = former;
-        let mut registers =
-            HoldingMut { network: &mut self.staged, limits: &mut self.limits, slots: &mut slots };
+        // into copies, so that a write is all or nothing
+        let (mut network, mut limits, mut slots) = (self.staged, self.limits, former);
+        let mut registers = HoldingMut { network: &mut network, limits: &mut limits, slots: &mut slots };
         let mut command = None;
         for (address, value) in range.addresses().zip(values.iter()) {
             match address {
                 0x0000 => command = Some(value),
-                _ => registers.judge(address, value)?,
+                _ => registers.write(address, value)?,
             }
         }
         if let Some(command) = command {
             return self.command(command, now);
         }
-        for (address, value) in range.addresses().zip(values.iter()) {
-            registers.write(address, value)?;
-        }
+        (self.staged, self.limits) = (network, limits);
         self.set_slots(&former, &slots, now);
         Ok(())
     }
@@ -315,6 +317,7 @@ impl Core {
         Holding { network: &self.staged, limits: &self.limits, slots }
     }
 
+    #[inline(never)] // asked in many places
     fn slots(&self) -> SlotSettings {
         core::array::from_fn(|index| {
             self.polling.slot(index).map_or((0, 0), |slot| (slot.unit, slot.period_100us))
@@ -373,7 +376,7 @@ impl Engine {
     #[inline(never)] // what it needs of the stack is not needed beside the engine's first state
     pub fn restore(&mut self, settings: &Settings, now: Instant) {
         let Self { core, .. } = self;
-        core.idle = Idle::Never;
+        core.idle_until = AT_ONCE;
         core.confirmed = settings.network;
         core.limits = settings.limits;
         core.set_slots(&SlotSettings::default(), &settings.slots, now);

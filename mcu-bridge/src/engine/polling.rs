@@ -4,6 +4,7 @@ use super::backlog::Content;
 use super::config::{Bus, Network, Route};
 use super::listener::Spelling;
 use super::transaction::{Expected, Origin, Request};
+use super::{AT_ONCE, NEVER};
 use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
@@ -164,7 +165,7 @@ impl Slot {
 pub(super) struct Polling {
     slots: [Slot; SLOTS],
     /// When the next period begins.
-    next: Option<Instant>,
+    next: Instant,
     /// Slots that wait for their bus, one bit each: mostly none, and then nobody has to look.
     due: u8,
 }
@@ -173,7 +174,7 @@ const _: () = assert!(SLOTS <= u8::BITS as usize);
 
 impl Polling {
     pub(super) const fn new() -> Self {
-        Self { slots: [Slot::OFF; SLOTS], next: None, due: 0 }
+        Self { slots: [Slot::OFF; SLOTS], next: AT_ONCE, due: 0 }
     }
 
     pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
@@ -195,7 +196,7 @@ impl Polling {
     }
 
     pub(super) fn tick(&mut self, now: Instant) {
-        if self.next.is_some_and(|next| now >= next) {
+        if now >= self.next {
             self.slots.iter_mut().for_each(|slot| slot.tick(now));
             self.look();
         }
@@ -203,10 +204,10 @@ impl Polling {
 
     /// Sees what is due, and when something is next.
     fn look(&mut self) {
-        (self.next, self.due) = (None, 0);
+        (self.next, self.due) = (NEVER, 0);
         for (index, slot) in (0..).zip(&self.slots) {
             if slot.period_100us > 0 {
-                self.next = self.next.into_iter().chain(Some(slot.next)).min();
+                self.next = self.next.min(slot.next);
             }
             if slot.progress == Progress::Due {
                 self.due |= 1u8.wrapping_shl(index);
@@ -215,7 +216,7 @@ impl Polling {
     }
 
     /// When the next period begins.
-    pub(super) const fn deadline(&self) -> Option<Instant> {
+    pub(super) const fn deadline(&self) -> Instant {
         self.next
     }
 

@@ -56,7 +56,7 @@ impl Quarantine {
 
     /// A device has answered.
     pub(super) fn answered(&mut self, unit: u8) {
-        self.0.retain(|device| device.unit != unit);
+        self.release(unit, unit);
     }
 
     /// A transaction ended without an answer.
@@ -96,7 +96,15 @@ impl Quarantine {
 
     /// Forgets the devices of a route that changes.
     pub(super) fn forget(&mut self, route: &Route) {
-        self.0.retain(|device| !route.serves(device.unit));
+        if route.is_used() {
+            self.release(route.first_unit, route.last_unit);
+        }
+    }
+
+    /// Forgets the devices from one unit to another.
+    #[inline(never)] // in several places
+    fn release(&mut self, first: u8, last: u8) {
+        self.0.retain(|device| !(first..=last).contains(&device.unit));
     }
 }
 

@@ -1,5 +1,6 @@
 //! A bus on a serial port: one transaction in flight, half duplex.
 
+use super::NEVER;
 use super::backlog::{Backlog, Content, QueueFull};
 use super::config::PortConfig;
 use super::counters::count;
@@ -116,6 +117,7 @@ impl SerialBus {
     }
 
     /// The last stop bit has left and the driver is off.
+    #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn transmitted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         if !self.pending().is_empty() {
             return;
@@ -212,8 +214,8 @@ impl SerialBus {
     }
 
     /// When [`SerialBus::poll`] has something to do next.
-    pub(super) fn deadline(&self, port: &PortConfig) -> Option<Instant> {
-        let flight = self.flight.as_ref().map(|flight| match flight.phase {
+    pub(super) fn deadline(&self, port: &PortConfig) -> Instant {
+        let flight = self.flight.as_ref().map_or(NEVER, |flight| match flight.phase {
             Phase::Ready => self.busy.after(port.gap()).min(flight.transaction.request.expires),
             Phase::Sending { limit, .. } => limit,
             Phase::Waiting { deadline, .. } if self.is_open_reply() => {
@@ -221,7 +223,7 @@ impl SerialBus {
             }
             Phase::Waiting { deadline, .. } => deadline,
         });
-        flight.into_iter().chain(self.backlog.deadline()).min()
+        flight.min(self.backlog.deadline())
     }
 
     /// Drops everything that waits or is in flight, and speaks as the routes say now.
@@ -330,6 +332,7 @@ impl SerialBus {
     }
 
     /// Forgets received bytes that belong to nothing.
+    #[inline(never)] // in many places
     fn discard(&mut self, around: &mut Surroundings<'_>) {
         if self.listener.discard() {
             count(&mut around.counters.foreign_or_late);

@@ -28,17 +28,15 @@ const STORED_VERSION: u16 = 1;
 
 const PORT_WORDS: u16 = 5;
 const ROUTE_WORDS: u16 = 11;
-const LIMITS: core::ops::Range<u16> = 0x0040..0x0044;
-const SLOT_REGISTERS: core::ops::Range<u16> = 0x0050..0x0050 + 2 * SLOTS as u16;
 const WORDS: usize = Port::ALL.len() * PORT_WORDS as usize + 4 + 2 * SLOTS + ROUTES * ROUTE_WORDS as usize;
 
 /// The listed registers of the ports, the limits and the slots.
 fn plain_registers() -> impl Iterator<Item = u16> {
-    let ports = (0..Port::ALL.len() as u16).flat_map(|port| {
-        let first = port.wrapping_mul(8).wrapping_add(0x0010);
-        first..first.wrapping_add(PORT_WORDS)
-    });
-    ports.chain(LIMITS).chain(SLOT_REGISTERS)
+    (0x0010..0x0060).filter(|address| match address {
+        0x0010..=0x002F => address % 8 < PORT_WORDS,
+        0x0040..=0x0043 | 0x0050.. => true,
+        _ => false,
+    })
 }
 
 /// The holding registers, where their values are.
@@ -145,25 +143,7 @@ impl Holding<'_> {
 }
 
 impl HoldingMut<'_> {
-    /// Whether a holding register takes a value: each is judged by itself.
-    pub(super) fn judge(&self, address: u16, value: u16) -> Result<(), ExceptionCode> {
-        let offset = address.wrapping_sub(0x0100);
-        // what is written is a copy, of a port, a route, or the few others
-        match address {
-            0x0010..=0x002F => {
-                let offset = address.wrapping_sub(0x0010);
-                let port = self.network.ports.get(usize::from(offset / 8)).copied();
-                port.ok_or(UNLISTED)?.set_register(offset % 8, value)
-            }
-            0x0100..=0x01FF => {
-                let row = self.network.routes.get(usize::from(offset / 0x10)).copied();
-                row.ok_or(UNLISTED)?.set_register(offset % 0x10, value)
-            }
-            _ => set_plain(&mut self.limits.clone(), &mut self.slots.clone(), address, value),
-        }
-    }
-
-    /// Sets a holding register.
+    /// Sets a holding register; each value is judged by itself.
     pub(super) fn write(&mut self, address: u16, value: u16) -> Result<(), ExceptionCode> {
         const PORTS: u16 = Port::ALL.len() as u16;
         const ROWS: u16 = ROUTES as u16;
@@ -211,6 +191,7 @@ fn set_plain(
     Ok(())
 }
 
+#[inline(never)] // asked in many places
 fn byte(value: u16) -> Result<u8, ExceptionCode> {
     u8::try_from(value).map_err(|_| ExceptionCode::IllegalDataValue)
 }
@@ -229,6 +210,11 @@ fn flag(value: u16) -> Result<bool, ExceptionCode> {
 
 /// Registers 0x0010 + 8 p.
 impl PortConfig {
+    /// Whether the host reads the same of both: shorter than to compare what is behind it.
+    pub(super) fn reads_as(&self, other: &Self) -> bool {
+        (0..PORT_WORDS).all(|offset| self.register(offset) == other.register(offset))
+    }
+
     fn register(&self, offset: u16) -> u16 {
         match offset {
             0 => self.rate,
@@ -275,6 +261,11 @@ impl PortConfig {
 
 /// Registers 0x0100 + 0x10 r.
 impl Route {
+    /// Whether the host reads the same of both: shorter than to compare what is behind it.
+    pub(super) fn reads_as(&self, other: &Self) -> bool {
+        (0..ROUTE_WORDS).all(|offset| self.register(offset) == other.register(offset))
+    }
+
     fn register(&self, offset: u16) -> u16 {
         if !self.is_used() && matches!(offset, 2..=4) {
             return 0;

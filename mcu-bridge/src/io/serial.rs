@@ -105,6 +105,8 @@ struct Shared {
     advanced: AtomicBool,
     /// It has something to send, or has not finished.
     sending: AtomicBool,
+    /// For the interrupt alone: a byte is on the wire, or will be.
+    driving: AtomicBool,
     /// Characters with errors since the main loop looked last.
     errors: AtomicU32,
 }
@@ -121,6 +123,7 @@ impl<const IN: usize> Queues<IN> {
             overrun: AtomicBool::new(false),
             advanced: AtomicBool::new(false),
             sending: AtomicBool::new(false),
+            driving: AtomicBool::new(false),
             errors: AtomicU32::new(0),
         };
         Self { incoming: Ring::new(), shared }
@@ -146,8 +149,7 @@ impl<const IN: usize> Default for Queues<IN> {
 #[derive(Debug)]
 pub struct InterruptSide<'a, const IN: usize = INCOMING> {
     incoming: &'a Ring<IN>,
-    /// What sends.
-    pub transmitter: TransmitterSide<'a>,
+    transmitter: TransmitterSide<'a>,
 }
 
 impl<const IN: usize> InterruptSide<'_, IN> {
@@ -161,21 +163,10 @@ impl<const IN: usize> InterruptSide<'_, IN> {
         }
     }
 
-    /// A byte came whose parity or stop bit was wrong. Its complement takes its place: a frame around it keeps its length,
-    /// and as all that is wrong lies within eight bits, its checksum is certain not to fit.
+    /// See [`TransmitterSide::broken`].
     pub fn received_broken(&mut self, byte: u8, micros: u32) {
-        self.noisy();
-        self.received(!byte, micros);
-    }
-
-    /// There was noise on the line, or something else wrong with a byte.
-    pub fn noisy(&mut self) {
-        self.transmitter.shared.errors.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// The port lost bytes.
-    pub fn lost(&mut self) {
-        self.transmitter.shared.overrun.store(true, Ordering::Relaxed);
+        let byte = self.transmitter.broken(byte);
+        self.received(byte, micros);
     }
 
     /// Whether the transmitter has something to do.
@@ -183,6 +174,11 @@ impl<const IN: usize> InterruptSide<'_, IN> {
     #[must_use]
     pub fn is_sending(&self) -> bool {
         self.transmitter.shared.sending.load(Ordering::Relaxed)
+    }
+
+    /// What sends, and hears of errors.
+    pub fn transmitter(&mut self) -> TransmitterSide<'_> {
+        TransmitterSide { ..self.transmitter }
     }
 
     /// See [`TransmitterSide::transmitted`].
@@ -202,7 +198,7 @@ impl<const IN: usize> InterruptSide<'_, IN> {
     }
 }
 
-/// What the transmitter has of the interrupt's end, alike for all ports.
+/// What the transmitter and errors have of the interrupt's end, alike for all ports.
 #[derive(Debug)]
 pub struct TransmitterSide<'a> {
     ends: &'a Ends,
@@ -217,6 +213,37 @@ impl TransmitterSide<'_> {
         shared.sending.store(false, Ordering::Relaxed);
         shared.ended_at.store(self.ends.put.load(Ordering::Relaxed), Ordering::Relaxed);
         shared.ended.store(true, Ordering::Release);
+    }
+
+    /// A byte came whose parity or stop bit was wrong. Its complement, which is returned, takes its place: a frame around
+    /// it keeps its length, and as all that is wrong lies within eight bits, its checksum is certain not to fit.
+    #[must_use]
+    pub fn broken(&mut self, byte: u8) -> u8 {
+        self.noisy();
+        !byte
+    }
+
+    /// There was noise on the line, or something else wrong with a byte.
+    pub fn noisy(&mut self) {
+        self.shared.errors.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The port lost bytes.
+    pub fn lost(&mut self) {
+        self.shared.overrun.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a byte is on the wire, or will be.
+    #[must_use]
+    pub fn is_driving(&self) -> bool {
+        self.shared.driving.load(Ordering::Relaxed)
+    }
+
+    /// Keeps whether a byte is on the wire, or will be; tells whether one was.
+    pub fn set_driving(&mut self, driving: bool) -> bool {
+        let was_driving = self.is_driving();
+        self.shared.driving.store(driving, Ordering::Relaxed);
+        was_driving
     }
 
     /// There was nothing to send after all.

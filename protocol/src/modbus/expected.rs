@@ -211,9 +211,9 @@ impl Shape {
     /// A response has the length of its request; all but counters and the register come back as they were sent.
     fn diagnostics(what: Diagnostic, data: &[u8]) -> Self {
         use Diagnostic as D;
-        let mut head = [0; 6];
-        let code = what.code().to_be_bytes();
-        head.iter_mut().zip(code.iter().chain(data)).for_each(|(place, byte)| *place = *byte);
+        let [high, low] = what.code().to_be_bytes();
+        let mut head = [high, low, 0, 0, 0, 0];
+        head.iter_mut().skip(2).zip(data).for_each(|(place, byte)| *place = *byte);
         let Ok(length) = u8::try_from(data.len()) else { return Self::Refusal };
         let known = match what {
             D::ForceListenOnly => return Self::Refusal,

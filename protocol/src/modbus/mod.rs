@@ -79,7 +79,8 @@ impl Range {
 
     /// The addresses, in order; none for a run that passes 0xFFFF.
     pub fn addresses(self) -> impl Iterator<Item = u16> {
-        self.last().map(|last| self.start..=last).into_iter().flatten()
+        let quantity = if self.last().is_some() { self.quantity } else { 0 };
+        (0..quantity).map(move |offset| self.start.wrapping_add(offset))
     }
 }
 

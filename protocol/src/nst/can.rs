@@ -242,6 +242,11 @@ impl Context {
     const fn is_free(&self) -> bool {
         self.counter == 0
     }
+
+    /// Whether its next frame had to come before `now`. In numbers, because it is asked of every frame.
+    const fn is_overdue(&self, limit: Duration, now: Instant) -> bool {
+        now.as_micros().saturating_sub(self.last.as_micros()) > limit.as_micros()
+    }
 }
 
 /// Joins frames into transfers: one context a source node, at most `CONTEXTS` at once. Nothing is ever delivered in
@@ -302,7 +307,7 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
         // a transfer whose next frame is overdue holds its context no longer than until another source wants it
         let place = match mine {
             None if starts => {
-                self.contexts.iter().position(|context| context.is_free() || now.since(context.last) > limit)
+                self.contexts.iter().position(|context| context.is_free() || context.is_overdue(limit, now))
             }
             mine => mine,
         };
@@ -310,7 +315,7 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
             return Report::wrong(if starts { Irregularity::NoContext } else { Irregularity::NoFirst });
         };
         let expected = if starts { 0 } else { context.counter };
-        let irregularity = if !starts && now.since(context.last) > limit {
+        let irregularity = if !starts && context.is_overdue(limit, now) {
             Some(Irregularity::Late)
         } else if !starts && destination != context.destination {
             Some(Irregularity::OtherDestination)

@@ -103,6 +103,7 @@ pub struct ExpectedReply {
 impl ExpectedReply {
     /// What the device at `address` may answer to `request`.
     #[must_use]
+    #[inline(never)] // in many places of a bridge
     pub fn new(address: u8, request: &Request<'_>) -> Self {
         Self { address, function: request.function(), length: request.length() }
     }

@@ -13,6 +13,7 @@ mod constants;
 mod flash;
 mod fpu;
 mod inputs;
+mod memory;
 mod outputs;
 mod pins;
 mod reset;
@@ -157,8 +158,8 @@ mod app {
         let (usart1, usart2, usart3) =
             (Registers::of(device.USART1), Registers::of(device.USART2), Registers::of(device.USART3));
         let uart1 = Uart::new(usart1, None, in1);
-        let uart2 = Uart::new(usart2, Some(pins::DRIVER_A), in2);
-        let uart3 = Uart::new(usart3, Some(pins::DRIVER_B), in3);
+        let uart2 = Uart::new(usart2, Some(&pins::DRIVER_A), in2);
+        let uart3 = Uart::new(usart3, Some(&pins::DRIVER_B), in3);
         let lines = [
             line(Port::Host, Part::Host, main1, Interrupt::USART1, usart1, pclk2),
             line(Port::Rs485A, Part::Rs485A, main2, Interrupt::USART2, usart2, pclk1),

@@ -4,11 +4,11 @@ use crate::pins::OutputPin;
 use crate::time;
 use core::ops::Deref;
 use jointbus_mcu_bridge::engine::config::{Parity, PortConfig};
-use jointbus_mcu_bridge::io::serial::InterruptSide;
+use jointbus_mcu_bridge::io::serial::{InterruptSide, TransmitterSide};
 use stm32f4xx_hal::pac::usart1::RegisterBlock;
 
 /// The driver-enable pin of an RS485 port; a port without one is full duplex.
-pub type DriverEnable = Option<OutputPin>;
+pub type DriverEnable = Option<&'static OutputPin>;
 
 /// The registers of a USART, of one type for all of them, so that the code of a port is there once.
 #[derive(Clone, Copy)]
@@ -72,15 +72,13 @@ pub struct Uart<const IN: usize> {
     usart: Registers,
     queues: InterruptSide<'static, IN>,
     driver_enable: DriverEnable,
-    /// A byte is on the wire, or will be.
-    driving: bool,
 }
 
 impl<const IN: usize> Uart<IN> {
     /// Takes a USART whose pins are set; [`configure`] starts it.
     pub fn new(usart: Registers, driver_enable: DriverEnable, queues: InterruptSide<'static, IN>) -> Self {
         drive(driver_enable, false);
-        Self { usart, queues, driver_enable, driving: false }
+        Self { usart, queues, driver_enable }
     }
 
     /// The interrupt, also pended by the main loop when it has something to send. Nothing is called on the way of a
@@ -88,68 +86,73 @@ impl<const IN: usize> Uart<IN> {
     #[inline(always)]
     pub fn on_interrupt(&mut self) {
         let status = self.usart.sr().read().bits();
-        if status & (sr::RECEIVED | sr::ERRORS) == sr::RECEIVED {
-            self.queues.received(self.usart.dr().read().bits() as u8, time::micros());
-        } else if status & (sr::RECEIVED | sr::OVERRUN) != 0 {
-            self.on_error(status);
+        if status & (sr::RECEIVED | sr::OVERRUN) != 0 {
+            // reading the data clears all that the status says
+            let byte = self.usart.dr().read().bits() as u8;
+            let taken = if status & sr::ERRORS == 0 {
+                Some(byte)
+            } else {
+                on_error(self.queues.transmitter(), status, byte)
+            };
+            if let Some(byte) = taken {
+                self.queues.received(byte, time::micros());
+            }
         }
         if self.queues.is_sending() {
-            self.send();
+            send(self.usart, self.queues.transmitter(), self.driver_enable);
         }
     }
+}
 
-    /// Not all went well with what came.
-    #[inline(never)]
-    fn on_error(&mut self, status: u16) {
-        // reading the data clears all that the status says
-        let byte = self.usart.dr().read().bits() as u8;
-        if status & sr::OVERRUN != 0 {
-            // the byte in the register is well, the one behind it is lost
-            self.queues.lost();
-        }
-        if status & sr::RECEIVED == 0 {
-            return;
-        }
-        if status & (sr::PARITY | sr::FRAMING) != 0 {
-            self.queues.received_broken(byte, time::micros());
-            return;
-        }
-        if status & sr::NOISE != 0 {
-            self.queues.noisy();
-        }
-        self.queues.received(byte, time::micros());
-    }
+// these are handed what they need piece by piece: where nobody has the address of a port, its constants stay constants
 
-    /// Feeds the transmitter, and releases the driver after the last stop bit.
-    #[inline(never)]
-    fn send(&mut self) {
-        let queues = &mut self.queues.transmitter;
-        // bounded by what the queue holds; the chip takes two bytes at a time, the emulator all
-        while self.usart.sr().read().bits() & sr::EMPTY != 0 {
-            let Some(byte) = queues.next_byte() else { break };
-            if !self.driving {
-                self.driving = true;
-                drive(self.driver_enable, true);
-            }
-            // SAFETY: any nine bits can be sent
-            self.usart.dr().write(|w| unsafe { w.dr().bits(byte.into()) });
-        }
-        let drained = queues.is_drained();
-        if drained && (!self.driving || self.usart.sr().read().bits() & sr::COMPLETE != 0) {
-            drive(self.driver_enable, false);
-            // what was put down for sending may have been sent before that was told
-            if core::mem::take(&mut self.driving) {
-                queues.transmitted();
-            } else {
-                queues.stop();
-            }
-        }
-        let driving = self.driving;
-        self.usart.cr1().modify(|_, w| {
-            w.txeie().bit(driving && !drained);
-            w.tcie().bit(driving && drained)
-        });
+/// Not all went well with what came; tells the byte that is to be taken nevertheless.
+#[inline(never)]
+fn on_error(mut queues: TransmitterSide<'_>, status: u16, byte: u8) -> Option<u8> {
+    if status & sr::OVERRUN != 0 {
+        // the byte in the register is well, the one behind it is lost
+        queues.lost();
     }
+    if status & sr::RECEIVED == 0 {
+        return None;
+    }
+    if status & (sr::PARITY | sr::FRAMING) != 0 {
+        return Some(queues.broken(byte));
+    }
+    if status & sr::NOISE != 0 {
+        queues.noisy();
+    }
+    Some(byte)
+}
+
+/// Feeds the transmitter, and releases the driver after the last stop bit.
+#[inline(never)]
+fn send(usart: Registers, mut queues: TransmitterSide<'_>, driver_enable: DriverEnable) {
+    // bounded by what the queue holds; the chip takes two bytes at a time, the emulator all
+    while usart.sr().read().bits() & sr::EMPTY != 0 {
+        let Some(byte) = queues.next_byte() else { break };
+        if !queues.set_driving(true) {
+            drive(driver_enable, true);
+        }
+        // SAFETY: any nine bits can be sent
+        usart.dr().write(|w| unsafe { w.dr().bits(byte.into()) });
+    }
+    let drained = queues.is_drained();
+    let mut driving = queues.is_driving();
+    if drained && (!driving || usart.sr().read().bits() & sr::COMPLETE != 0) {
+        drive(driver_enable, false);
+        driving = false;
+        // what was put down for sending may have been sent before that was told
+        if queues.set_driving(false) {
+            queues.transmitted();
+        } else {
+            queues.stop();
+        }
+    }
+    usart.cr1().modify(|_, w| {
+        w.txeie().bit(driving && !drained);
+        w.tcie().bit(driving && drained)
+    });
 }
 
 fn drive(driver_enable: DriverEnable, on: bool) {
