@@ -76,7 +76,6 @@ static MEANWHILE: &[(&str, &str, &str, f64)] = &[
     (host::PLACE, "server", "10 x 10 registers", 445.0),
     (host::PLACE, "server", "01 x 16 coils", 360.0),
     (host::PLACE, "server", "wrong CRC", 85.0),
-    (bridge::IMAGE, bridge::SUBJECT, "flash", 56_000.0),
     (bridge::IMAGE, bridge::SUBJECT, "static RAM", 12_600.0),
     (bridge::IMAGE, bridge::SUBJECT, "worst stack", 2_200.0),
     (bridge::IMAGE, bridge::SUBJECT, "idle turn", 980.0),
