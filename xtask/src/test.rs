@@ -136,7 +136,7 @@ static STEPS: &[Step] = &[
         },
         run: |workspace| {
             bench::lint_and_test(workspace)?;
-            bench::no_worse(workspace)
+            bench::check(workspace)
         },
     },
     Step {

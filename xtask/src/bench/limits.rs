@@ -69,10 +69,6 @@ static LIMITS: &[Limit] = &[
     over(SPEED),
 ];
 
-/// Figures that are beyond their limit today, and what they must not be beyond meanwhile. Whoever brings one within its
-/// limit takes it off.
-static MEANWHILE: &[(&str, &str, &str, f64)] = &[(bridge::IMAGE, bridge::SUBJECT, "flash", 55_000.0)];
-
 const fn at_most(place: &'static str, subject: &'static str, what: &'static str, most: f64) -> Limit {
     Limit { place, subject, what, bound: Bound::AtMost(most) }
 }
@@ -105,17 +101,6 @@ impl Verdict {
         }
     }
 
-    /// Whether the limit is held, or the figure is no worse than is allowed meanwhile.
-    pub(crate) fn is_tolerated(&self) -> bool {
-        self.holds() || self.meanwhile().is_some_and(|most| self.figure <= most)
-    }
-
-    fn meanwhile(&self) -> Option<f64> {
-        let Limit { place, subject, what, .. } = *self.limit;
-        let mut entries = MEANWHILE.iter();
-        entries.find(|entry| (entry.0, entry.1, entry.2) == (place, subject, what)).map(|entry| entry.3)
-    }
-
     fn columns(&self) -> [String; 5] {
         let Limit { place, subject, what, bound } = self.limit;
         let (what, bound) = match bound {
@@ -125,12 +110,8 @@ impl Verdict {
             Bound::Grows(most) => ((*what).to_owned(), format!("at most {most}")),
         };
         let figure = (self.figure * 1000.0).round() / 1000.0;
-        let verdict = match self.meanwhile() {
-            _ if self.holds() => "holds".to_owned(),
-            Some(most) => format!("**not held**, meanwhile at most {most}"),
-            None => "**not held**".to_owned(),
-        };
-        [format!("{place}: {subject}"), what, figure.to_string(), bound, verdict]
+        let verdict = if self.holds() { "holds" } else { "**not held**" };
+        [format!("{place}: {subject}"), what, figure.to_string(), bound, verdict.to_owned()]
     }
 }
 
@@ -176,18 +157,6 @@ mod tests {
         };
         assert!(of(Bound::AtMost(40.0), 40.0).holds() && !of(Bound::AtMost(40.0), 41.0).holds());
         assert!(of(Bound::AtLeast(95.0), 95.0).holds() && !of(Bound::AtLeast(95.0), 94.9).holds());
-    }
-
-    #[test]
-    fn what_is_allowed_meanwhile_has_a_limit_and_is_beyond_it() {
-        for (place, subject, what, most) in MEANWHILE {
-            let mut limits = LIMITS.iter();
-            let limit =
-                limits.find(|limit| (limit.place, limit.subject, limit.what) == (*place, *subject, *what));
-            let limit = limit.expect("a figure with a limit");
-            let at = |figure| Verdict { limit, figure };
-            assert!(!at(*most).holds() && at(*most).is_tolerated() && !at(most + 1.0).is_tolerated());
-        }
     }
 
     #[test]

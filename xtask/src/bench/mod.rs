@@ -47,7 +47,7 @@ pub(crate) struct Manner {
 pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
     prepare(workspace)?;
     if manner.check {
-        return check(workspace, limits::Verdict::holds);
+        return check(workspace);
     }
     if manner.profile {
         return bridge::profile(workspace);
@@ -84,16 +84,11 @@ pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
     setup::valgrind()
 }
 
-/// Measures what has a limit, and fails where a figure is worse than it may be meanwhile.
-pub(crate) fn no_worse(workspace: &Workspace) -> Result<()> {
-    check(workspace, limits::Verdict::is_tolerated)
-}
-
 /// Measures what has a limit, and fails where one does not hold.
-fn check(workspace: &Workspace, holds: impl Fn(&limits::Verdict) -> bool) -> Result<()> {
+pub(crate) fn check(workspace: &Workspace) -> Result<()> {
     let verdicts = limits::verdicts(&measure(workspace, false)?)?;
     println!("\n{}", limits::table(&verdicts));
-    let broken: Vec<String> = verdicts.iter().filter(|one| !holds(one)).map(ToString::to_string).collect();
+    let broken: Vec<String> = verdicts.iter().filter(|one| !one.holds()).map(ToString::to_string).collect();
     if !broken.is_empty() {
         bail!("{} of {} limits are not held:\n  {}", broken.len(), verdicts.len(), broken.join("\n  "));
     }

@@ -46,6 +46,7 @@ mod sr {
 }
 
 /// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6); its interrupt must not come meanwhile.
+#[inline(never)] // in several places, and seldom
 pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
     let baud = config.baud().max(1);
     let divider = ((bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
