@@ -129,7 +129,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "bench",
-        about: "every figure holds its limit, or is no worse than it was when it did not",
+        about: "every figure holds its limit",
         prepare: |workspace| {
             setup::components(workspace)?;
             bench::prepare(workspace)
