@@ -80,7 +80,7 @@ impl FunctionCode {
 
 code_table! {
     /// Why a server refuses (specification, chapter 7).
-    ExceptionCode: u8, never {
+    ExceptionCode {
         /// Illegal function
         IllegalFunction = 0x01,
         /// Illegal data address
