@@ -1,5 +1,6 @@
 //! The macro behind every code table: written once, both directions from one place, the unknown kept. Codes are
-//! bytes where the table names no other type.
+//! bytes where the table names no other type. Behind the type `never` keeps the way to the code from being inlined: a
+//! long one, for where it is seldom gone.
 
 macro_rules! code_table {
     (
@@ -10,7 +11,7 @@ macro_rules! code_table {
     };
     (
         $(#[$meta:meta])*
-        $name:ident: $code_type:ty {
+        $name:ident: $code_type:ty $(, $inline:ident)? {
             $($(#[$variant_meta:meta])* $variant:ident = $code:literal,)+
         }
     ) => {
@@ -35,7 +36,7 @@ macro_rules! code_table {
 
             /// The code on the wire.
             #[must_use]
-            #[inline(never)] // a long one, and asked in many places
+            $(#[inline($inline)])?
             pub const fn code(self) -> $code_type {
                 match self {
                     $(Self::$variant => $code,)+

@@ -106,7 +106,6 @@ impl OutputRange {
 
     /// Whether a set value is a number within the limits.
     #[must_use]
-    #[inline(never)] // asked in many places
     pub fn holds(self, value: f32) -> bool {
         value.is_finite() && value.abs() <= self.limit()
     }
