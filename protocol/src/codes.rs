@@ -1,6 +1,5 @@
 //! The macro behind every code table: written once, both directions from one place, the unknown kept. Codes are
-//! bytes where the table names no other type. Behind the type `never` keeps the way to the code from being inlined: a
-//! long one, for where it is seldom gone.
+//! bytes where the table names no other type.
 
 macro_rules! code_table {
     (
@@ -11,7 +10,7 @@ macro_rules! code_table {
     };
     (
         $(#[$meta:meta])*
-        $name:ident: $code_type:ty $(, $inline:ident)? {
+        $name:ident: $code_type:ty {
             $($(#[$variant_meta:meta])* $variant:ident = $code:literal,)+
         }
     ) => {
@@ -36,7 +35,6 @@ macro_rules! code_table {
 
             /// The code on the wire.
             #[must_use]
-            $(#[inline($inline)])?
             pub const fn code(self) -> $code_type {
                 match self {
                     $(Self::$variant => $code,)+

@@ -28,14 +28,15 @@ const STORED_VERSION: u16 = 1;
 
 const PORT_WORDS: u16 = 5;
 const ROUTE_WORDS: u16 = 11;
+const SLOT_REGISTERS: core::ops::Range<u16> = 0x0050..0x0050 + 2 * SLOTS as u16;
 const WORDS: usize = Port::ALL.len() * PORT_WORDS as usize + 4 + 2 * SLOTS + ROUTES * ROUTE_WORDS as usize;
 
 /// The listed registers of the ports, the limits and the slots.
 fn plain_registers() -> impl Iterator<Item = u16> {
-    (0x0010..0x0060).filter(|address| match address {
+    (0x0010..SLOT_REGISTERS.end).filter(|address| match address {
         0x0010..=0x002F => address % 8 < PORT_WORDS,
-        0x0040..=0x0043 | 0x0050.. => true,
-        _ => false,
+        0x0040..=0x0043 => true,
+        _ => *address >= SLOT_REGISTERS.start,
     })
 }
 
