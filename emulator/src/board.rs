@@ -327,6 +327,7 @@ impl Board {
             Control::Bus(works) => faults.stuck = !works,
             Control::BitErrors(count) => faults.bit_errors = count,
             Control::ArbitrationLosses(count) => faults.arbitration_losses = count,
+            Control::Room(waits) => faults.hasty = !waits,
             Control::Crystal(fitted) => self.rcc.set_crystal(fitted),
             Control::Cause(cause) => self.next_reset = cause,
             Control::Pin(pin, level) => self.gpio.connect(pin, level),
@@ -461,6 +462,7 @@ mod tests {
     #[test]
     fn never_more_is_accepted_than_fits() {
         let mut board = on_bus();
+        board.take_console_bytes(b"room 0\n");
         let room = board.can_room();
         let line = b"t1230\r";
         board.take_can_bytes(&line[..5]);

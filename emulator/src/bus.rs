@@ -26,6 +26,9 @@ pub struct Faults {
     pub arbitration_losses: u32,
     /// Nodes don't agree on the bit rate: every frame fails.
     pub bit_rates_differ: bool,
+    /// Offered frames come also where the controller has no room for them. Otherwise they wait: the processor may stand
+    /// still because the host has no time for it, and then so does the world.
+    pub hasty: bool,
 }
 
 impl Faults {
@@ -36,6 +39,7 @@ impl Faults {
         bit_errors: 0,
         arbitration_losses: 0,
         bit_rates_differ: false,
+        hasty: false,
     };
 }
 
@@ -100,8 +104,7 @@ impl Bus {
     /// Whether time has to pass for something: then [`Self::step`] is due after [`IDLE_BITS`], or as it says.
     #[must_use]
     pub fn is_busy(&self, can: &BxCan) -> bool {
-        let could_start =
-            !self.waiting.is_empty() || can.contender().is_some() || can.awaits_recessive_bits();
+        let could_start = self.bid(can).is_some() || can.contender().is_some() || can.awaits_recessive_bits();
         self.on_wire.is_some() || !self.faults.stuck && could_start
     }
 
@@ -169,10 +172,14 @@ impl Bus {
         }
     }
 
+    /// What the world bids with, if it wants to send.
+    fn bid(&self, can: &BxCan) -> Option<Arbitration> {
+        self.waiting.front().filter(|_| self.faults.hasty || can.has_room()).map(Arbitration::of)
+    }
+
     /// The smallest arbitration field goes next; a controller that bid for the bus too has lost it.
     fn arbitrate(&mut self, can: &mut BxCan) -> Option<OnWire> {
-        let bid = self.waiting.front().map(Arbitration::of);
-        let worlds = match (bid, can.contender()) {
+        let worlds = match (self.bid(can), can.contender()) {
             (Some(bid), Some(contender)) => bid < contender,
             (Some(_), None) => true,
             (None, _) => false,
@@ -290,6 +297,28 @@ mod tests {
         assert!(!bus.is_busy(&can));
         bus.faults.stuck = false;
         assert_eq!(run(&mut bus, &mut can), [Event::Sent(frame(2))]);
+    }
+
+    #[test]
+    fn frames_wait_for_room_unless_they_are_hasty() {
+        const RF0R: u32 = 0x0C;
+        const FMP: u32 = 0b11;
+        const FOVR: u32 = 1 << 4;
+        const RFOM: u32 = 1 << 5;
+        let (mut bus, mut can) = joined();
+        // filter bank 0, of 32 bits and one of CAN1's, lets everything pass
+        for (register, value) in [(0x20C, 1), (0x21C, 1), (0x200, 0x0E00)] {
+            can.write(register, value);
+        }
+        (0..5).for_each(|id| assert!(bus.offer(frame(id))));
+        assert_eq!(run(&mut bus, &mut can), [0, 1, 2].map(|id| Event::Sent(frame(id))));
+        can.write(RF0R, RFOM);
+        assert!(bus.is_busy(&can));
+        assert_eq!(run(&mut bus, &mut can), [Event::Sent(frame(3))]);
+        assert_eq!(can.read(RF0R) & (FMP | FOVR), 3);
+        bus.faults.hasty = true;
+        assert_eq!(run(&mut bus, &mut can), [Event::Sent(frame(4))]);
+        assert_eq!(can.read(RF0R) & (FMP | FOVR), 3 | FOVR);
     }
 
     #[test]

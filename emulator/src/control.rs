@@ -7,6 +7,7 @@
 //! | `bus 0` `bus 1` | the bus is stuck dominant, or works |
 //! | `err N` | the next N frames of the controller meet a bit error |
 //! | `lost N` | the next N frames of the controller lose arbitration |
+//! | `room 0` `room 1` | frames for the controller come whether or not it has room, or wait until it has (at the start) |
 //! | `crystal 0` `crystal 1` | the crystal is missing, or there |
 //! | `cause por` `pin` `sft` `iwdg` `wwdg` | what the next resets were caused by (`sft` at the start) |
 //! | `pin PC0 1` `0` `z` | puts a level on a pin from outside, or leaves it open |
@@ -63,6 +64,8 @@ pub enum Control {
     BitErrors(u32),
     /// Frames of the controller to lose arbitration.
     ArbitrationLosses(u32),
+    /// Whether frames for the controller wait until it has room.
+    Room(bool),
     /// Whether the crystal is there.
     Crystal(bool),
     /// What further resets of the machine are caused by.
@@ -138,6 +141,7 @@ impl Control {
             "bus" => Self::Bus(switch(argument)?),
             "err" => Self::BitErrors(argument.parse().ok()?),
             "lost" => Self::ArbitrationLosses(argument.parse().ok()?),
+            "room" => Self::Room(switch(argument)?),
             "crystal" => Self::Crystal(switch(argument)?),
             "cause" => Self::Cause(cause(argument)?),
             _ => return None,
@@ -181,6 +185,7 @@ mod tests {
             (" bus  1 ", Control::Bus(true)),
             ("err 32", Control::BitErrors(32)),
             ("lost 1", Control::ArbitrationLosses(1)),
+            ("room 0", Control::Room(false)),
             ("crystal 0", Control::Crystal(false)),
             ("cause iwdg", Control::Cause(ResetCause::IndependentWatchdog)),
             ("pin PA1 z", Control::Pin(pin, Level(None))),

@@ -42,6 +42,11 @@ impl Fifo {
         fits
     }
 
+    /// Whether the next frame costs one.
+    pub(super) fn is_full(&self) -> bool {
+        self.frames.len() == DEPTH
+    }
+
     /// Whether one of the interrupts enabled in `enabled` (moved to FIFO 0's place) is due.
     pub(super) fn interrupt(&self, enabled: u32) -> bool {
         enabled & ier::FMPIE != 0 && !self.frames.is_empty()

@@ -137,6 +137,12 @@ impl BxCan {
         self.btr & btr::SILM == 0
     }
 
+    /// Whether no frame that came now would be lost, or cost another one.
+    #[must_use]
+    pub fn has_room(&self) -> bool {
+        !self.is_active() || !self.fifos.iter().any(Fifo::is_full)
+    }
+
     /// Whether it waits for [`Self::recessive_sequence`]: to join the bus, or to recover from bus-off.
     #[must_use]
     pub fn awaits_recessive_bits(&self) -> bool {

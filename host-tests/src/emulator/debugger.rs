@@ -4,7 +4,8 @@
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
 use std::time::Duration;
 
 /// Bytes of memory that are asked for at a time.
@@ -13,7 +14,7 @@ const CHUNK: usize = 512;
 /// The processor, stopped until it is [`Debugger::resume`]d.
 #[derive(Debug)]
 pub struct Debugger {
-    stream: TcpStream,
+    stream: UnixStream,
 }
 
 impl Debugger {
@@ -24,13 +25,12 @@ impl Debugger {
     /// Number of the program counter.
     pub const PC: u8 = 15;
 
-    /// Stops the processor of a QEMU that was started with `-gdb tcp:ADDRESS`.
+    /// Stops the processor of a QEMU whose debugger port (`-gdb chardev:ID`) is a Unix socket.
     ///
     /// # Errors
     /// Where nobody listens, or QEMU does not answer in time; so for every method here.
-    pub fn stop(address: SocketAddr, patience: Duration) -> Result<Self> {
-        let stream = TcpStream::connect_timeout(&address, patience).context("there is no debugger port")?;
-        stream.set_nodelay(true)?;
+    pub fn stop(socket: &Path, patience: Duration) -> Result<Self> {
+        let stream = UnixStream::connect(socket).context("there is no debugger port")?;
         stream.set_read_timeout(Some(patience))?;
         let mut debugger = Self { stream };
         // registers can be written once their description was read

@@ -53,6 +53,32 @@ fn a_frame_with_a_data_length_code_above_8_is_eight_bytes_and_no_panic() {
 }
 
 #[test]
+fn can_frames_that_are_not_fetched_in_time_are_counted() {
+    const NVIC_ISER0: u32 = 0xE000_E100;
+    const NVIC_ICER0: u32 = 0xE000_E180;
+    const CAN1_RX0: u32 = 1 << 20;
+    let (options, debugger) = debuggable(options());
+    let emulator = Emulator::launch(&options).unwrap();
+    let mut stranger = emulator.connect(Port::Can).unwrap();
+    stranger.set_read_timeout(Some(PATIENCE)).unwrap();
+    let stream = emulator.connect(Port::Usart1).unwrap();
+    client::prepare(&stream).unwrap();
+    let mut client = Client::new(stream, Duration::from_millis(500));
+    bridge::wait(&mut client, PATIENCE).unwrap();
+    client.set_timeout(PATIENCE);
+    emulator.fault("room 0").unwrap();
+    resets::store(&debugger, NVIC_ICER0, CAN1_RX0);
+    until(|| resets::load(&debugger, NVIC_ISER0) & CAN1_RX0 == 0);
+    // five to the bridge's node, and the FIFO has room for three
+    stranger.write_all(&b"T00057F10100\r".repeat(5)).unwrap();
+    assert_eq!(take(&mut stranger), *b"Z\rZ\rZ\rZ\rZ\r", "all have been on the bus");
+    resets::store(&debugger, NVIC_ISER0, CAN1_RX0);
+    until(|| bridge::counters(&mut client, port::CAN).unwrap().received > 0);
+    let counters = bridge::counters(&mut client, port::CAN).unwrap();
+    assert_eq!((counters.received, counters.overruns), (3, 1), "{counters:?}");
+}
+
+#[test]
 fn after_ten_seconds_without_acknowledgement_no_old_command_is_carried_out() {
     let mut bench = Bench::emulated(&options()).unwrap();
     bench.client().unwrap().nst(CAN_UNIT).sample().unwrap();

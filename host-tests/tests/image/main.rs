@@ -16,11 +16,13 @@ mod settings;
 use jointbus_host_tests::bench::{Bench, Bridge, CAN_UNIT, RS485_A_UNIT, RS485_B_UNIT};
 use jointbus_host_tests::bridge::{self, Limits, port};
 use jointbus_host_tests::client::{Client, Error};
-use jointbus_host_tests::emulator::{Emulator, Options, Port};
+use jointbus_host_tests::emulator::{Debugger, Emulator, Options, Port};
 use jointbus_protocol::checksum::crc16;
 use jointbus_protocol::modbus::{ExceptionCode, Request, rtu};
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Only a hang reaches it.
@@ -84,11 +86,28 @@ fn frame(content: &[u8]) -> Vec<u8> {
     [content, &crc16(content).to_le_bytes()].concat()
 }
 
+/// Where an emulator's debugger listens. No TCP port: another test may take one that was free a moment ago.
+struct DebuggerSocket(PathBuf);
+
+impl Drop for DebuggerSocket {
+    fn drop(&mut self) {
+        // it is there only where the emulator was started
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
 /// Options with the emulator's debugger port, and where that listens.
-fn debuggable(options: Options) -> (Options, SocketAddr) {
-    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let arguments = vec!["-gdb".into(), format!("tcp:{address}").into()];
-    (Options { arguments, ..options }, address)
+fn debuggable(options: Options) -> (Options, DebuggerSocket) {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+    let path = std::env::temp_dir().join(format!("jointbus-debugger-{process}-{count}"));
+    let socket = format!("socket,id=debugger,path={},server=on,wait=off", path.display());
+    let arguments = ["-chardev", &socket, "-gdb", "chardev:debugger"].map(Into::into).to_vec();
+    (Options { arguments, ..options }, DebuggerSocket(path))
+}
+
+fn stop(debugger: &DebuggerSocket) -> Debugger {
+    Debugger::stop(&debugger.0, PATIENCE).unwrap()
 }
 
 fn until(mut reached: impl FnMut() -> bool) {

@@ -1,7 +1,6 @@
 //! What the compiler calls for to copy and fill memory, on the image's own code.
 
 use super::*;
-use jointbus_host_tests::emulator::Debugger;
 use object::{Object as _, ObjectSymbol as _};
 
 /// Memory that nothing else uses before the first instruction.
@@ -58,11 +57,12 @@ struct Processor {
     symbols: Vec<(String, u32)>,
     // stops the emulator when it goes
     _emulator: Emulator,
+    _socket: DebuggerSocket,
 }
 
 impl Processor {
     fn start() -> Self {
-        let (options, debugger) = debuggable(Options { paused: true, ..options() });
+        let (options, socket) = debuggable(Options { paused: true, ..options() });
         let file = std::fs::read(&options.image).unwrap();
         let image = object::File::parse(&*file).unwrap();
         let symbols = image.symbols().filter_map(|symbol| {
@@ -70,7 +70,7 @@ impl Processor {
         });
         let symbols = symbols.collect();
         let emulator = Emulator::launch(&options).unwrap();
-        Self { debugger: Debugger::stop(debugger, PATIENCE).unwrap(), symbols, _emulator: emulator }
+        Self { debugger: stop(&socket), symbols, _emulator: emulator, _socket: socket }
     }
 
     /// Those of the functions that the image has.

@@ -3,7 +3,6 @@
 use super::*;
 use jointbus_host_tests::bench::OUTPUTS_UNIT;
 use jointbus_host_tests::clock::Clock;
-use jointbus_host_tests::emulator::Debugger;
 
 #[test]
 fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
@@ -11,7 +10,7 @@ fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
-    set_register(debugger, Debugger::PC, 0xF000_0000);
+    set_register(&debugger, Debugger::PC, 0xF000_0000);
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
     client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
@@ -24,7 +23,7 @@ fn a_main_loop_that_stands_still_is_reset_by_the_watchdog() {
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1, "it was fed all the time");
-    set_register(debugger, Debugger::PC, standstill());
+    set_register(&debugger, Debugger::PC, standstill());
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
 }
@@ -36,7 +35,7 @@ fn a_stack_that_overflows_leads_to_a_reset_whose_cause_is_told() {
     let mut client = bench.client().unwrap();
     assert_eq!(bridge::about(&mut client).unwrap().reset_cause, 1);
     // as though the main loop had used all but 16 bytes: the next interrupt pushes more than that
-    set_register(debugger, Debugger::SP, STACK + 16);
+    set_register(&debugger, Debugger::SP, STACK + 16);
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
 }
@@ -48,7 +47,7 @@ fn a_tick_that_stops_is_noticed_by_the_watchdog() {
     let (options, debugger) = debuggable(Options { skip_idle: false, ..watched() });
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
-    store(debugger, SYST_CSR, 0);
+    store(&debugger, SYST_CSR, 0);
     client.set_timeout(Duration::from_millis(500));
     // each of these questions turns the main loop, which alone would feed the watchdog
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
@@ -62,7 +61,7 @@ fn a_port_that_sends_nothing_any_more_is_noticed_by_the_watchdog() {
     let bench = Bench::emulated(&options).unwrap();
     let mut client = bench.client().unwrap();
     client.nst(RS485_A_UNIT).sample().unwrap();
-    store(debugger, NVIC_ICER1, USART2);
+    store(&debugger, NVIC_ICER1, USART2);
     client.set_timeout(Duration::from_millis(500));
     assert!(client.nst(RS485_A_UNIT).sample().is_err(), "it has something to send");
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 4));
@@ -75,11 +74,11 @@ fn interrupts_keep_no_floating_point_registers() {
     const KEEPING: u32 = 0b11 << 30;
     let (options, debugger) = debuggable(Options { paused: true, ..options() });
     let emulator = Emulator::launch(&options).unwrap();
-    assert_eq!(load(debugger, FPCCR) & KEEPING, KEEPING, "before the first instruction");
+    assert_eq!(load(&debugger, FPCCR) & KEEPING, KEEPING, "before the first instruction");
     let bench = Bench::with(Bridge::Emulated(Box::new(emulator)), Clock::default()).unwrap();
     let mut client = bench.client().unwrap();
     bridge::about(&mut client).unwrap();
-    assert_eq!(load(debugger, FPCCR) & KEEPING, 0);
+    assert_eq!(load(&debugger, FPCCR) & KEEPING, 0);
 }
 
 #[test]
@@ -87,7 +86,7 @@ fn no_request_uses_more_stack_than_there_is() {
     const PAINT: u8 = 0xA5;
     let (options, debugger) = debuggable(Options { paused: true, ..options() });
     let emulator = Emulator::launch(&options).unwrap();
-    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    let mut stopped = stop(&debugger);
     // the first word of the image is where its stack starts
     let top = u32::from_le_bytes(stopped.read(0x0800_0000, 4).unwrap().try_into().unwrap());
     let size = usize::try_from(top - STACK).unwrap();
@@ -105,7 +104,7 @@ fn no_request_uses_more_stack_than_there_is() {
         client.modbus(bridge::UNIT).read_input_registers(0, 120).unwrap();
         client.modbus(bridge::UNIT).write_register(0, 0x5A7E).unwrap();
     }
-    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    let mut stopped = stop(&debugger);
     let stack = stopped.read(STACK, size).unwrap();
     stopped.resume().unwrap();
     let untouched = stack.iter().take_while(|byte| **byte == PAINT).count();
@@ -121,25 +120,25 @@ fn watched() -> Options {
     Options { watchdog: true, ..counted() }
 }
 
-fn set_register(debugger: SocketAddr, register: u8, value: u32) {
-    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+fn set_register(debugger: &DebuggerSocket, register: u8, value: u32) {
+    let mut stopped = stop(debugger);
     stopped.set_register(register, value).unwrap();
     stopped.resume().unwrap();
 }
 
 /// Has the processor store a word, because the debugger's port reaches no registers of peripherals.
-fn store(debugger: SocketAddr, address: u32, value: u32) {
+pub(super) fn store(debugger: &DebuggerSocket, address: u32, value: u32) {
     copy(debugger, SCRATCH, address, value);
 }
 
 /// Has the processor load a word, for the same reason.
-fn load(debugger: SocketAddr, address: u32) -> u32 {
+pub(super) fn load(debugger: &DebuggerSocket, address: u32) -> u32 {
     /// No register that is asked for has it.
     const NOT_YET: u32 = 0x6E6F_7421;
     copy(debugger, address, SCRATCH, NOT_YET);
     let mut value = NOT_YET;
     until(|| {
-        let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+        let mut stopped = stop(debugger);
         value = u32::from_le_bytes(stopped.read(SCRATCH, 4).unwrap().try_into().unwrap());
         stopped.resume().unwrap();
         value != NOT_YET
@@ -151,9 +150,9 @@ fn load(debugger: SocketAddr, address: u32) -> u32 {
 const SCRATCH: u32 = STACK;
 
 /// Puts a value into the scratch word, and then has the processor copy a word.
-fn copy(debugger: SocketAddr, from: u32, to: u32, scratch: u32) {
+fn copy(debugger: &DebuggerSocket, from: u32, to: u32, scratch: u32) {
     const PLACE: u32 = SCRATCH + 4;
-    let mut stopped = Debugger::stop(debugger, PATIENCE).unwrap();
+    let mut stopped = stop(debugger);
     let back = stopped.register(Debugger::PC).unwrap();
     let code: [u16; 8] = [
         0xB403, // push {r0, r1}
