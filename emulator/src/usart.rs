@@ -198,9 +198,17 @@ impl Usart {
     /// When [`Self::step`] is due.
     #[must_use]
     pub fn deadline(&self) -> Option<u64> {
-        let waits = !self.incoming.is_empty() && self.get(offset::SR) & sr::RXNE == 0;
+        let comes = !self.incoming.is_empty() && self.may_come();
         let ends = self.shifting.map(|(_, end)| end);
-        ends.into_iter().chain(waits.then_some(self.arrives)).min()
+        ends.into_iter().chain(comes.then_some(self.arrives)).min()
+    }
+
+    /// Whether the processor is ready for a character: it has read the one before, and seen to the end of its own
+    /// transmission. It may only be late because the host has no time for it; then the world waits.
+    const fn may_come(&self) -> bool {
+        let status = self.get(offset::SR);
+        let ended = status & sr::TC != 0 && self.get(offset::CR1) & cr1::TCIE != 0;
+        status & sr::RXNE == 0 && !ended
     }
 
     /// Does what is due.
@@ -218,7 +226,7 @@ impl Usart {
             }
         }
         if self.arrives <= now
-            && self.get(offset::SR) & sr::RXNE == 0
+            && self.may_come()
             && let Some(byte) = self.incoming.pop_front()
         {
             self.received = byte;
@@ -352,6 +360,24 @@ mod tests {
         assert_eq!(usart.deadline(), Some(174_808));
         usart.step(600_000, HZ);
         assert_eq!(usart.read(offset::DR), 2);
+    }
+
+    #[test]
+    fn a_reply_waits_until_the_end_of_the_request_was_seen_to() {
+        let mut usart = usart();
+        let on = cr1::UE | cr1::TE | cr1::RE | cr1::RXNEIE;
+        usart.write(offset::CR1, on | cr1::TCIE, 0, HZ);
+        usart.write(offset::DR, 0x11, 1000, HZ);
+        usart.step(87_904, HZ);
+        assert!(usart.interrupt());
+        usart.receive(&[1], 90_000, HZ);
+        assert_eq!(usart.deadline(), None);
+        usart.step(500_000, HZ);
+        assert_eq!(usart.read(offset::SR), sr::TXE | sr::TC);
+        usart.write(offset::CR1, on, 500_000, HZ);
+        assert_eq!(usart.deadline(), Some(176_904));
+        usart.step(500_000, HZ);
+        assert_eq!(usart.read(offset::DR), 1);
     }
 
     #[test]

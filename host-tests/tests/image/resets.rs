@@ -132,45 +132,47 @@ pub(super) fn store(debugger: &DebuggerSocket, address: u32, value: u32) {
 }
 
 /// Has the processor load a word, for the same reason.
-pub(super) fn load(debugger: &DebuggerSocket, address: u32) -> u32 {
-    /// No register that is asked for has it.
-    const NOT_YET: u32 = 0x6E6F_7421;
-    copy(debugger, address, SCRATCH, NOT_YET);
-    let mut value = NOT_YET;
-    until(|| {
-        let mut stopped = stop(debugger);
-        value = u32::from_le_bytes(stopped.read(SCRATCH, 4).unwrap().try_into().unwrap());
-        stopped.resume().unwrap();
-        value != NOT_YET
-    });
+fn load(debugger: &DebuggerSocket, address: u32) -> u32 {
+    copy(debugger, address, SCRATCH, 0);
+    scratch(debugger, SCRATCH)
+}
+
+fn scratch(debugger: &DebuggerSocket, address: u32) -> u32 {
+    let mut stopped = stop(debugger);
+    let value = u32::from_le_bytes(stopped.read(address, 4).unwrap().try_into().unwrap());
+    stopped.resume().unwrap();
     value
 }
 
 /// A word at the end of the stack, which is not in use.
 const SCRATCH: u32 = STACK;
 
-/// Puts a value into the scratch word, and then has the processor copy a word.
-fn copy(debugger: &DebuggerSocket, from: u32, to: u32, scratch: u32) {
-    const PLACE: u32 = SCRATCH + 4;
+/// Puts a value into the scratch word, and then has the processor copy a word; waits until it has.
+fn copy(debugger: &DebuggerSocket, from: u32, to: u32, value: u32) {
+    const DONE: u32 = SCRATCH + 4;
+    const PLACE: u32 = SCRATCH + 8;
     let mut stopped = stop(debugger);
     let back = stopped.register(Debugger::PC).unwrap();
-    let code: [u16; 8] = [
+    let code: [u16; 10] = [
         0xB403, // push {r0, r1}
-        0x4803, // ldr r0, the address that it comes from
+        0x4804, // ldr r0, the address that it comes from
         0x6800, // ldr r0, [r0]
-        0x4903, // ldr r1, the address that it goes to
+        0x4904, // ldr r1, the address that it goes to
         0x6008, // str r0, [r1]
+        0x4904, // ldr r1, the address of the word that says that it is done
+        0x6009, // str r1, [r1]
         0xBC03, // pop {r0, r1}
-        0xF8DF, 0xF008, // ldr pc, the way back
+        0xF8DF, 0xF00C, // ldr pc, the way back
     ];
-    let mut bytes = scratch.to_le_bytes().to_vec();
+    let mut bytes = [value.to_le_bytes(), [0; 4]].concat();
     bytes.extend(code.iter().flat_map(|half| half.to_le_bytes()));
-    for word in [from, to, back | 1] {
+    for word in [from, to, DONE, back | 1] {
         bytes.extend(word.to_le_bytes());
     }
     stopped.write(SCRATCH, &bytes).unwrap();
     stopped.set_register(Debugger::PC, PLACE).unwrap();
     stopped.resume().unwrap();
+    until(|| scratch(debugger, DONE) == DONE);
 }
 
 /// An address in the image at which the processor jumps to where it is.
