@@ -120,7 +120,7 @@ impl Backlog {
         }
         loop {
             let held = |request: &Request| self.owed.holds(request, now);
-            let mut request = around.polling.next(around.bus, around.network, now, held)?;
+            let mut request = around.polling.next(around.bus, around.routes, now, held)?;
             match around.quarantine.admit(request.unit, false, around.limits, now) {
                 Admission::Normal => {}
                 Admission::Probe => request.become_probe(around.limits),

@@ -18,7 +18,7 @@ impl Engine {
     pub(super) fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
         let Self { host, core } = self;
         host.set_silence(core.limits.burst_silence());
-        while let Some(event) = host.feed(&core.format(), &mut bytes, now) {
+        while let Some(event) = host.feed(&HostFormat(core.routes()), &mut bytes, now) {
             core.take(&event, now);
             core.make_change(now);
         }
@@ -29,7 +29,7 @@ impl Engine {
     pub(super) fn end_host_burst(&mut self, now: Instant) {
         let Self { host, core } = self;
         host.set_silence(core.limits.burst_silence());
-        if let Some(event) = host.poll(&core.format(), now) {
+        if let Some(event) = host.poll(&HostFormat(core.routes()), now) {
             core.take(&event, now);
             core.make_change(now);
         }
@@ -37,10 +37,6 @@ impl Engine {
 }
 
 impl Core {
-    const fn format(&self) -> HostFormat<'_> {
-        HostFormat { router: &self.router, network: &self.live }
-    }
-
     /// Makes the change that a request has asked for. Here and not where it was asked for, which is deeper in the stack.
     fn make_change(&mut self, now: Instant) {
         let change = core::mem::replace(&mut self.change, Change::None);
@@ -87,7 +83,7 @@ impl Core {
                     self.broadcast_modbus(unit, body, &[Bus::LocalOutputs], now);
                 }
             }
-            _ => match self.route(unit) {
+            _ => match self.routes().find(unit) {
                 Some((number, route)) if route.protocol.is_nst() => {
                     self.request_nst(unit, number, *route, body, now);
                 }

@@ -1,8 +1,8 @@
 //! The host port: which frames come in, and the replies on their way out.
 
-use super::config::{Network, Protocol};
+use super::config::Protocol;
 use super::counters::{Counters, count};
-use super::router::Router;
+use super::router::Routes;
 use heapless::Vec;
 use jointbus_protocol::deframe::{BurstDeframer, Format, FrameLength, STRAY_MAX};
 use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
@@ -16,24 +16,14 @@ const _: () = assert!(nst::serial::REQUEST_MAX == FRAME_MAX && nst::serial::REPL
 pub(super) type HostDeframer = BurstDeframer<{ FRAME_MAX + STRAY_MAX }>;
 
 /// The unit address selects the route, the route the codec, the codec the frame's length.
-pub(super) struct HostFormat<'a> {
-    pub(super) router: &'a Router,
-    pub(super) network: &'a Network,
-}
-
-impl HostFormat<'_> {
-    fn protocol(&self, unit: u8) -> Option<Protocol> {
-        let row = self.router.row(unit)?;
-        self.network.routes.get(usize::from(row)).map(|route| route.protocol)
-    }
-}
+pub(super) struct HostFormat<'a>(pub(super) Routes<'a>);
 
 impl Format for HostFormat<'_> {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         match prefix.first() {
             Some(&modbus::BROADCAST) => rtu::request_length(prefix),
             Some(&nst::BROADCAST) => FrameLength::UntilSilence,
-            Some(&unit) => match self.protocol(unit) {
+            Some(&unit) => match self.0.find(unit).map(|(_, route)| route.protocol) {
                 Some(Protocol::ModbusRtu | Protocol::ModbusAscii) => rtu::request_length(prefix),
                 Some(Protocol::Nst | Protocol::NstOverCan) => nst::serial::request_length(prefix),
                 None => FrameLength::Impossible,

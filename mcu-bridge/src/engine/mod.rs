@@ -18,7 +18,7 @@ mod settings;
 mod transaction;
 
 use can::CanBus;
-use config::{Bus, Limits, Network, Port, PortConfig, ROUTES, Route};
+use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
 use counters::count;
 use host::{HostDeframer, Output};
 use io::{Analog, LocalIo, LocalOutputs};
@@ -29,7 +29,7 @@ use jointbus_protocol::time::{Duration, Instant};
 use own::{Diagnostics, Saving};
 use polling::Polling;
 use quarantine::Quarantine;
-use router::Router;
+use router::{Router, Routes};
 use serial::SerialBus;
 use transaction::{HostSide, ReplyTime, Surroundings};
 
@@ -471,10 +471,8 @@ impl Core {
         }
     }
 
-    /// The route of a unit, and its number.
-    fn route(&self, unit: u8) -> Option<(u8, &Route)> {
-        let number = self.router.row(unit)?;
-        self.live.routes.get(usize::from(number)).map(|route| (number, route))
+    const fn routes(&self) -> Routes<'_> {
+        Routes { router: &self.router, network: &self.live }
     }
 
     const fn host_silence_limit(&self) -> Duration {
@@ -512,7 +510,7 @@ impl Core {
             reply_times: &mut self.reply_times,
             quarantine: &mut self.quarantine,
             limits: &self.limits,
-            network: &self.live,
+            routes: Routes { router: &self.router, network: &self.live },
             bus: if port == Port::Rs485A { Bus::Rs485A } else { Bus::Rs485B },
             polling: &mut self.polling,
         };
@@ -529,7 +527,7 @@ impl Core {
             reply_times: &mut self.reply_times,
             quarantine: &mut self.quarantine,
             limits: &self.limits,
-            network: &self.live,
+            routes: Routes { router: &self.router, network: &self.live },
             bus: Bus::Can,
             polling: &mut self.polling,
         };

@@ -1,8 +1,9 @@
 //! Slots in which the bridge reads sensors by itself, on time.
 
 use super::backlog::Content;
-use super::config::{Bus, Network, Route};
+use super::config::{Bus, Route};
 use super::listener::Spelling;
+use super::router::Routes;
 use super::transaction::{Expected, Origin, Request};
 use super::{AT_ONCE, NEVER};
 use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
@@ -224,7 +225,7 @@ impl Polling {
     pub(super) fn next(
         &mut self,
         bus: Bus,
-        network: &Network,
+        routes: Routes<'_>,
         now: Instant,
         held: impl Fn(&Request) -> bool,
     ) -> Option<Request> {
@@ -237,8 +238,8 @@ impl Polling {
             if due.as_ref().is_some_and(|(_, earliest, _)| *earliest <= began) {
                 continue;
             }
-            let route = network
-                .route(slot.unit)
+            let route = routes
+                .find(slot.unit)
                 .filter(|(_, route)| route.bus == bus && route.protocol.is_nst())
                 .map(|(number, route)| request(slot.unit, index, number, route, now));
             if let Some(request) = route.filter(|request| !held(request)) {

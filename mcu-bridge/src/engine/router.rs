@@ -1,6 +1,6 @@
 //! The routing table as it is looked through: six rows at once.
 
-use super::config::{Network, ROUTES};
+use super::config::{Network, ROUTES, Route};
 
 /// Rows in a word: each takes nine bits, a byte and the carry of what is added to it.
 const LANES: usize = 3;
@@ -81,6 +81,21 @@ impl Router {
             row = row.wrapping_add(PAIR as u8);
         }
         None
+    }
+}
+
+/// The routes in force, and how they are found.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Routes<'a> {
+    pub(super) router: &'a Router,
+    pub(super) network: &'a Network,
+}
+
+impl<'a> Routes<'a> {
+    /// The route of a unit, and its number.
+    pub(super) fn find(self, unit: u8) -> Option<(u8, &'a Route)> {
+        let number = self.router.row(unit)?;
+        self.network.routes.get(usize::from(number)).map(|route| (number, route))
     }
 }
 

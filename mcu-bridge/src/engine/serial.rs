@@ -233,7 +233,7 @@ impl SerialBus {
             flight.transaction.end(None, &mut self.backlog, around);
         }
         self.backlog.clear(around);
-        self.is_ascii = around.network.speaks_ascii(around.bus);
+        self.is_ascii = around.routes.network.speaks_ascii(around.bus);
         self.listener.reset(self.is_ascii);
         self.busy = now;
     }

@@ -1,11 +1,12 @@
 //! A request on its way over a bus: what answers it, how often it is tried, and what a bus may touch for it.
 
 use super::backlog::{Backlog, Place};
-use super::config::{Bus, Limits, Network, PortConfig, ROUTES, Route};
+use super::config::{Bus, Limits, PortConfig, ROUTES, Route};
 use super::counters::{Counters, count};
 use super::host::Output;
 use super::polling::Polling;
 use super::quarantine::Quarantine;
+use super::router::Routes;
 use jointbus_protocol::deframe::Expectation;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
 use jointbus_protocol::nst::{self, can};
@@ -308,7 +309,7 @@ pub(super) struct Surroundings<'a> {
     pub(super) reply_times: &'a mut [ReplyTime; ROUTES],
     pub(super) quarantine: &'a mut Quarantine,
     pub(super) limits: &'a Limits,
-    pub(super) network: &'a Network,
+    pub(super) routes: Routes<'a>,
     pub(super) bus: Bus,
     pub(super) polling: &'a mut Polling,
 }
