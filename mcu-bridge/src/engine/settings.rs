@@ -153,44 +153,32 @@ impl HoldingMut<'_> {
             0x0010..=0x002F => {
                 let offset = address.wrapping_sub(0x0010);
                 let port = self.network.ports.get_mut(usize::from(offset / 8)).ok_or(UNLISTED)?;
-                port.set_register(offset % 8, value)
+                port.set_register(offset % 8, value)?;
+            }
+            0x0040 => self.limits.quarantine_after = byte(value)?,
+            0x0041 => self.limits.probe_period_ms = at_least_1(value)?,
+            0x0042 => self.limits.host_silence_ms = value,
+            0x0043 => self.limits.burst_silence_100us = at_least_1(value)?,
+            0x0050..=0x005F => {
+                let offset = address.wrapping_sub(0x0050);
+                let (unit, period) = self.slots.get_mut(usize::from(offset / 2)).ok_or(UNLISTED)?;
+                match offset % 2 {
+                    0 => *unit = byte(value)?,
+                    _ => *period = value,
+                }
             }
             0x0100..=0x01FF => {
                 let offset = address.wrapping_sub(0x0100);
                 let row = self.network.routes.get_mut(usize::from(offset / 0x10)).ok_or(UNLISTED)?;
-                row.set_register(offset % 0x10, value)
+                row.set_register(offset % 0x10, value)?;
             }
-            _ => set_plain(self.limits, self.slots, address, value),
+            _ => return Err(UNLISTED),
         }
+        Ok(())
     }
 }
 
 const UNLISTED: ExceptionCode = ExceptionCode::IllegalDataAddress;
-
-/// Sets a limit or half of a slot.
-fn set_plain(
-    limits: &mut Limits,
-    slots: &mut SlotSettings,
-    address: u16,
-    value: u16,
-) -> Result<(), ExceptionCode> {
-    match address {
-        0x0040 => limits.quarantine_after = byte(value)?,
-        0x0041 => limits.probe_period_ms = at_least_1(value)?,
-        0x0042 => limits.host_silence_ms = value,
-        0x0043 => limits.burst_silence_100us = at_least_1(value)?,
-        0x0050..=0x005F => {
-            let offset = address.wrapping_sub(0x0050);
-            let (unit, period) = slots.get_mut(usize::from(offset / 2)).ok_or(UNLISTED)?;
-            match offset % 2 {
-                0 => *unit = byte(value)?,
-                _ => *period = value,
-            }
-        }
-        _ => return Err(UNLISTED),
-    }
-    Ok(())
-}
 
 #[inline(never)] // asked in many places
 fn byte(value: u16) -> Result<u8, ExceptionCode> {
