@@ -163,12 +163,6 @@ impl<const IN: usize> InterruptSide<'_, IN> {
         }
     }
 
-    /// See [`TransmitterSide::broken`].
-    pub fn received_broken(&mut self, byte: u8, micros: u32) {
-        let byte = self.transmitter.broken(byte);
-        self.received(byte, micros);
-    }
-
     /// Whether the transmitter has something to do.
     #[inline(always)]
     #[must_use]
@@ -179,22 +173,6 @@ impl<const IN: usize> InterruptSide<'_, IN> {
     /// What sends, and hears of errors.
     pub fn transmitter(&mut self) -> TransmitterSide<'_> {
         TransmitterSide { ..self.transmitter }
-    }
-
-    /// See [`TransmitterSide::transmitted`].
-    pub fn transmitted(&mut self) {
-        self.transmitter.transmitted();
-    }
-
-    /// See [`TransmitterSide::next_byte`].
-    pub fn next_byte(&mut self) -> Option<u8> {
-        self.transmitter.next_byte()
-    }
-
-    /// See [`TransmitterSide::is_drained`].
-    #[must_use]
-    pub fn is_drained(&self) -> bool {
-        self.transmitter.is_drained()
     }
 }
 
@@ -407,10 +385,10 @@ mod tests {
         main.carry_in(&mut engine, Port::Host, now);
         assert!(main.is_idle());
         assert!(main.carry_out(&mut engine, Port::Host));
-        let sent: std::vec::Vec<u8> = core::iter::from_fn(|| interrupt.next_byte()).collect();
+        let sent: std::vec::Vec<u8> = core::iter::from_fn(|| interrupt.transmitter().next_byte()).collect();
         assert_eq!(sent.len(), 245);
         assert!(rtu::Frame::decode(&sent).is_ok());
-        assert!(interrupt.is_drained());
+        assert!(interrupt.transmitter().is_drained());
     }
 
     #[test]
@@ -427,13 +405,13 @@ mod tests {
         engine.receive(Port::Host, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
         assert!(main.carry_out(&mut engine, Port::Host));
         assert!(!main.advances());
-        assert!(interrupt.next_byte().is_some());
+        assert!(interrupt.transmitter().next_byte().is_some());
         assert!(main.advances());
         assert!(!main.advances());
-        while interrupt.next_byte().is_some() {}
+        while interrupt.transmitter().next_byte().is_some() {}
         assert!(main.advances());
         assert!(!main.advances(), "the last byte does not leave");
-        interrupt.transmitted();
+        interrupt.transmitter().transmitted();
         assert!(main.advances());
         assert!(main.advances(), "there is nothing to send");
     }
@@ -453,11 +431,8 @@ mod tests {
             let (mut interrupt, mut main) = queues.split();
             for (index, byte) in frame.iter().enumerate() {
                 // what is wrong may be the parity or stop bit alone
-                if index == broken {
-                    interrupt.received_broken(*byte, 0)
-                } else {
-                    interrupt.received(*byte, 0)
-                }
+                let byte = if index == broken { interrupt.transmitter().broken(*byte) } else { *byte };
+                interrupt.received(byte, 0);
             }
             main.carry_in(&mut engine, Port::Host, now);
             assert!(!main.carry_out(&mut engine, Port::Host), "taken with byte {broken} broken");
@@ -476,7 +451,7 @@ mod tests {
         let (mut interrupt, main) = queues.split();
         assert!(main.is_idle());
         (0..3).for_each(|_| interrupt.received(0x55, 0));
-        interrupt.transmitted();
+        interrupt.transmitter().transmitted();
         interrupt.received(0xAA, 0);
         let (ended_at, put) = (&main.shared.ended_at, &main.ends.put);
         assert_eq!((ended_at.load(Ordering::Relaxed), put.load(Ordering::Relaxed)), (3, 4));

@@ -37,7 +37,7 @@ impl World<'_> {
     }
 
     pub(super) fn start_byte_to_host(&mut self) {
-        self.to_host = self.uarts[0].queues.next_byte();
+        self.to_host = self.uarts[0].queues.transmitter().next_byte();
         self.uarts[0].sending = self.to_host.is_some();
         if self.to_host.is_some() {
             self.agenda.enter(self.now.after(self.host_byte), Event::ToHost);
@@ -54,7 +54,7 @@ impl World<'_> {
         self.start_byte_to_host();
         // room in the queue, or the end of a transmission
         if !self.uarts[0].sending {
-            self.uarts[0].queues.transmitted();
+            self.uarts[0].queues.transmitter().transmitted();
             self.interrupt();
         }
     }

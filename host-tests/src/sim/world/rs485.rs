@@ -9,7 +9,7 @@ use crate::sim::station::{self, timeout_of};
 
 impl World<'_> {
     pub(super) fn start_bridge_frame(&mut self, line: usize) {
-        let Some(byte) = self.uarts[line + 1].queues.next_byte() else { return };
+        let Some(byte) = self.uarts[line + 1].queues.transmitter().next_byte() else { return };
         self.uarts[line + 1].sending = true;
         let bus = &mut self.lines[line];
         bus.frame.clear();
@@ -35,7 +35,8 @@ impl World<'_> {
 
     pub(super) fn end_line_byte(&mut self, line: usize, sender: usize) {
         // the next byte follows without a pause, so it has to be there
-        let following = (sender == BRIDGE).then(|| self.uarts[line + 1].queues.next_byte()).flatten();
+        let following =
+            (sender == BRIDGE).then(|| self.uarts[line + 1].queues.transmitter().next_byte()).flatten();
         let bus = &mut self.lines[line];
         if let Some(byte) = following {
             bus.frame.push(byte);
@@ -72,7 +73,7 @@ impl World<'_> {
     fn end_bridge_frame(&mut self, line: usize) {
         let uart = &mut self.uarts[line + 1];
         uart.sending = false;
-        uart.queues.transmitted();
+        uart.queues.transmitter().transmitted();
         let bus = &mut self.lines[line];
         let hold = std::mem::take(&mut bus.hold);
         if hold > 0 {
