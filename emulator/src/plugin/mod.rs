@@ -9,6 +9,7 @@ mod part;
 mod peripherals;
 mod port;
 mod qemu;
+mod self_test;
 
 use crate::board::Board;
 use crate::control::Control;
@@ -27,6 +28,7 @@ use std::io::{self, Read};
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::ptr;
+use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 const CAN1_BASE: u64 = 0x4000_6400;
@@ -37,13 +39,29 @@ const FLASH_BASE: u64 = 0x4002_3C00;
 const CAN1_INTERRUPTS: [c_int; 4] = [19, 20, 21, 22];
 /// Shortest time that a timer is set to.
 const SHORTEST_NS: u64 = 1000;
-/// The only release this was tried with.
-const TESTED: (i64, i64) = (7, 2);
+/// The oldest release that this was tried with; an older one is refused.
+const OLDEST: (i64, i64) = (7, 2);
+/// The newest release that this was tried with; the self-test has the last word on a newer one.
+const NEWEST: (i64, i64) = (10, 0);
 
-/// Version of QEMU's plugin interface: the one that 7.2 speaks.
+/// Version of QEMU's plugin interface, which QEMU reads before it calls [`qemu_plugin_install`]. Releases up to 8.2 take
+/// version 1 at most, later ones version 2 at least.
 #[unsafe(no_mangle)]
 #[allow(non_upper_case_globals)]
-static qemu_plugin_version: c_int = 1;
+static qemu_plugin_version: AtomicI32 = AtomicI32::new(1);
+
+/// Runs when the library is loaded.
+#[used]
+#[cfg_attr(target_os = "linux", unsafe(link_section = ".init_array"))]
+#[cfg_attr(target_os = "macos", unsafe(link_section = "__DATA,__mod_init_func"))]
+static ON_LOAD: extern "C" fn() = choose_version;
+
+/// Scoreboards came with version 2 of the interface.
+extern "C" fn choose_version() {
+    if qemu::exports(c"qemu_plugin_scoreboard_new") {
+        qemu_plugin_version.store(2, Ordering::Relaxed);
+    }
+}
 
 static CAN_OPS: RegionOps = RegionOps::new(read_can, write_can, 4);
 static RCC_OPS: RegionOps = RegionOps::new(read_rcc, write_rcc, 1);
@@ -77,12 +95,15 @@ struct State {
     watchdog: bool,
     /// Whether there is a CAN controller.
     has_can: bool,
+    /// Whether QEMU is to end after the self-test.
+    self_test_only: bool,
     /// USART2 and USART3.
     serial: [SerialState; 2],
 }
 
 /// What QEMU has given us.
 struct Machine {
+    processor: Pointer,
     interrupts: [Pointer; 4],
     clock: Pointer,
     timer: Pointer,
@@ -142,7 +163,7 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
     let qemu = Qemu::find().map_err(|name| {
         format!("this QEMU does not export {name:?}; one that is built with loadable modules does")
     })?;
-    check_version(&qemu, options.any_version)?;
+    check_version(&qemu)?;
     let mut board = Board::new();
     board.apply(Control::Crystal(options.crystal));
     let flash = options.flash.map(|path| open_flash(&path, &mut board)).transpose()?;
@@ -157,6 +178,7 @@ fn install(info: &Info, arguments: &[String]) -> Result<(), String> {
         flash,
         watchdog: options.watchdog,
         has_can: options.can,
+        self_test_only: options.self_test_only,
         serial: Default::default(),
     });
     let notifier = Notifier { notify: machine_complete, next: ptr::null_mut(), previous: ptr::null_mut() };
@@ -178,18 +200,19 @@ fn open_flash(path: &Path, board: &mut Board) -> Result<File, String> {
     Ok(file)
 }
 
-/// Structures of other releases may be laid out differently, which would end in memory errors.
-fn check_version(qemu: &Qemu, any: bool) -> Result<(), String> {
+/// The release of the running QEMU.
+fn version(qemu: &Qemu) -> qemu::VersionTriple {
     // SAFETY: QEMU allocates both structures and fills them in.
-    let version = unsafe { *(*(qemu.qmp_query_version)(ptr::null_mut())).version };
-    let (major, minor) = TESTED;
-    if any || (version.major, version.minor) == TESTED {
+    unsafe { *(*(qemu.qmp_query_version)(ptr::null_mut())).version }
+}
+
+/// Refuses releases that are too old. Structures of newer ones may be laid out differently: the self-test tells.
+fn check_version(qemu: &Qemu) -> Result<(), String> {
+    let found = version(qemu);
+    if (found.major, found.minor) >= OLDEST {
         return Ok(());
     }
-    Err(format!(
-        "made for QEMU {major}.{minor}, and this is {}.{}; to try it all the same, add the argument anyversion=on",
-        version.major, version.minor
-    ))
+    Err(format!("this is QEMU {found}; 7.2 is the oldest that the plugin works in"))
 }
 
 fn complain(message: &str) {
@@ -214,9 +237,31 @@ extern "C" fn machine_complete(_notifier: *mut Notifier, _data: Pointer) {
         Ok(machine) => {
             let machine = MACHINE.get_or_init(|| machine);
             machine.start(qemu());
+            check(machine);
         }
         Err(message) => {
             complain(&message);
+            std::process::exit(1);
+        }
+    }
+}
+
+/// Has the machine tested, and ends QEMU where it does not work or nothing else is wanted. The reset with which every
+/// machine starts comes after this and clears what the test has left in the processor.
+fn check(machine: &Machine) {
+    let found = version(qemu());
+    let result = self_test::run(qemu(), machine);
+    let is_last = with(|state| state.self_test_only);
+    match result {
+        Ok(()) if is_last => {
+            println!("clock, interrupts and CAN work in QEMU {found}");
+            std::process::exit(0);
+        }
+        Ok(()) => {}
+        Err(failures) => {
+            let newer = (found.major, found.minor) > NEWEST;
+            let age = if newer { ", which is newer than those that the plugin was tried with" } else { "" };
+            complain(&format!("the emulated board does not work in QEMU {found}{age}: {failures}"));
             std::process::exit(1);
         }
     }
@@ -233,6 +278,7 @@ impl Machine {
             return Err("this machine has no STM32F405; use -M netduinoplus2".into());
         }
         Ok(Self {
+            processor,
             // SAFETY: the processor is a device with a line for each interrupt.
             interrupts: CAN1_INTERRUPTS.map(|number| unsafe { (qemu.qdev_get_gpio_in)(processor, number) }),
             clock: find(c"/machine/SYSCLK", c"clock"),

@@ -9,8 +9,8 @@ pub(super) struct Options {
     pub(super) crystal: bool,
     /// Whether there is a CAN controller.
     pub(super) can: bool,
-    /// Whether any release of QEMU will do.
-    pub(super) any_version: bool,
+    /// Whether QEMU is to end after the self-test, with success where it has passed.
+    pub(super) self_test_only: bool,
     /// Whether the independent watchdog bites.
     pub(super) watchdog: bool,
     /// Where the flash's sectors are kept.
@@ -19,7 +19,8 @@ pub(super) struct Options {
 
 impl Options {
     pub(super) fn parse<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Result<Self, String> {
-        let mut options = Self { crystal: true, can: true, any_version: false, watchdog: false, flash: None };
+        let mut options =
+            Self { crystal: true, can: true, self_test_only: false, watchdog: false, flash: None };
         for argument in arguments {
             match argument {
                 "crystal=on" => options.crystal = true,
@@ -28,13 +29,12 @@ impl Options {
                 "can=off" => options.can = false,
                 "watchdog=on" => options.watchdog = true,
                 "watchdog=off" => options.watchdog = false,
-                "anyversion=on" => options.any_version = true,
-                "anyversion=off" => options.any_version = false,
+                "selftest=only" => options.self_test_only = true,
                 other => match other.strip_prefix("flash=") {
                     Some(path) => options.flash = Some(path.into()),
                     None => {
                         return Err(format!(
-                            "unknown argument {other:?}; there are crystal=, can=, watchdog=, flash= and anyversion="
+                            "unknown argument {other:?}; there are crystal=, can=, watchdog=, flash= and selftest=only"
                         ));
                     }
                 },
@@ -52,17 +52,17 @@ mod tests {
     fn arguments_are_checked() {
         assert_eq!(
             Options::parse([]),
-            Ok(Options { crystal: true, can: true, any_version: false, watchdog: false, flash: None })
+            Ok(Options { crystal: true, can: true, self_test_only: false, watchdog: false, flash: None })
         );
         let all = Options {
             crystal: false,
             can: false,
-            any_version: true,
+            self_test_only: true,
             watchdog: true,
             flash: Some("a.bin".into()),
         };
         assert_eq!(
-            Options::parse(["crystal=off", "can=off", "anyversion=on", "watchdog=on", "flash=a.bin"]),
+            Options::parse(["crystal=off", "can=off", "selftest=only", "watchdog=on", "flash=a.bin"]),
             Ok(all)
         );
         assert!(Options::parse(["crystal"]).is_err());

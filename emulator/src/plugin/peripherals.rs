@@ -17,7 +17,7 @@ const DAC_BASE: u64 = 0x4000_7400;
 const TIM3_BASE: u64 = 0x4000_0400;
 const TIM5_BASE: u64 = 0x4000_0C00;
 const USART_BASES: [u64; 2] = [0x4000_4400, 0x4000_4800];
-const USART_INTERRUPTS: [c_int; 2] = [38, 39];
+pub(super) const USART_INTERRUPTS: [c_int; 2] = [38, 39];
 const USART_DEVICES: [&CStr; 2] = [c"usart2", c"usart3"];
 
 static GPIO_OPS: RegionOps = RegionOps::new(read_gpio, write_gpio, 1);

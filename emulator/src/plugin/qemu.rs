@@ -4,6 +4,7 @@
 //! those. Types that only QEMU looks into are pointers here.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
+use std::fmt;
 
 /// A pointer to something of QEMU's.
 pub(super) type Pointer = *mut c_void;
@@ -40,6 +41,12 @@ pub(super) struct VersionTriple {
     pub(super) major: i64,
     pub(super) minor: i64,
     pub(super) micro: i64,
+}
+
+impl fmt::Display for VersionTriple {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}.{}.{}", self.major, self.minor, self.micro)
+    }
 }
 
 /// `VersionInfo`.
@@ -109,15 +116,24 @@ pub(super) fn opaque_structure() -> Pointer {
     Box::leak(Box::new([0_u128; 256])).as_mut_ptr().cast()
 }
 
-/// Declares [`Qemu`] and how to find each of its functions by its name.
+/// Whether the running process exports a symbol.
+pub(super) fn exports(name: &CStr) -> bool {
+    // SAFETY: the name is a C string; dlsym has no other requirement.
+    !unsafe { libc::dlsym(libc::RTLD_DEFAULT, name.as_ptr()) }.is_null()
+}
+
+/// Declares a table of functions and how to find each of them by its name.
 macro_rules! functions {
-    ($($(#[$doc:meta])* fn $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)?;)*) => {
-        /// QEMU's functions. All are to be called with QEMU's big lock held, as it is in every callback.
-        pub(super) struct Qemu {
+    (
+        $(#[$table_doc:meta])* struct $table:ident;
+        $($(#[$doc:meta])* fn $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)?;)*
+    ) => {
+        $(#[$table_doc])*
+        pub(super) struct $table {
             $($(#[$doc])* pub(super) $name: unsafe extern "C" fn($($argument: $type),*) $(-> $result)?,)*
         }
 
-        impl Qemu {
+        impl $table {
             /// Finds all functions, or names the first that the running process does not have.
             pub(super) fn find() -> Result<Self, &'static CStr> {
                 $(
@@ -146,6 +162,9 @@ macro_rules! functions {
 }
 
 functions! {
+    /// QEMU's functions. All are to be called with QEMU's big lock held, as it is in every callback.
+    struct Qemu;
+
     /// QEMU's version.
     fn qmp_query_version(error: *mut Pointer) -> *const VersionInfo;
     /// Has a notifier called once the machine is complete.
@@ -206,4 +225,25 @@ functions! {
         frontend: Pointer, condition: c_uint,
         callback: extern "C" fn(Pointer, c_uint, Pointer) -> c_int, opaque: Pointer
     ) -> c_uint;
+}
+
+functions! {
+    /// The functions that the self-test needs beside those of [`Qemu`], to be called in the same way. The machine runs
+    /// without them.
+    struct Inspection;
+
+    /// The processor with this index, or null.
+    fn qemu_get_cpu(index: c_int) -> Pointer;
+    /// An address space of a processor; 0 is the one that it reaches memory and its own registers by.
+    fn cpu_get_address_space(processor: Pointer, index: c_int) -> Pointer;
+    /// Reads or writes an address space; 0 where that succeeded. The attributes are a structure of up to 64 bits.
+    fn address_space_rw(
+        space: Pointer, address: u64, attributes: u64, buffer: *mut c_void, length: u64, is_write: bool
+    ) -> c_uint;
+    /// A clock input of a device, or null.
+    fn qdev_get_clock_in(device: Pointer, name: *const c_char) -> Pointer;
+    /// The frequency of a clock as text, such as `168 MHz`; to be freed by the caller.
+    fn clock_display_freq(clock: Pointer) -> *mut c_char;
+    /// Whether a timer is set.
+    fn timer_pending(timer: Pointer) -> bool;
 }
