@@ -1,4 +1,4 @@
-//! A plugin for QEMU's own interface (version 1): it writes to a Unix socket, whose path is its one argument, a word of
+//! A plugin for QEMU's own interface (versions 1 and 2): it writes to a Unix socket, whose path is its one argument, a word of
 //! 32 bits for each instruction before it is executed, which is its address, and for each access to a data register of
 //! the serial ports, which is the register's address with bit 0 set, and bit 1 where it was written.
 //!
@@ -7,6 +7,7 @@
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::io::{BufWriter, Write};
 use std::os::unix::net::UnixStream;
+use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// `USART_DR` of USART1, USART2 and USART3 (RM0090, table 1).
@@ -42,10 +43,24 @@ unsafe extern "C" {
     fn qemu_plugin_mem_is_store(info: u32) -> bool;
 }
 
-/// Version of QEMU's plugin interface.
+/// Version of QEMU's plugin interface, which QEMU reads before anything else. Releases up to 8.2 take version 1 at most,
+/// later ones version 2 at least; what is used here is the same in both.
 #[unsafe(no_mangle)]
 #[allow(non_upper_case_globals)]
-static qemu_plugin_version: c_int = 1;
+static qemu_plugin_version: AtomicI32 = AtomicI32::new(1);
+
+/// Runs when the library is loaded.
+#[used]
+#[cfg_attr(target_os = "linux", unsafe(link_section = ".init_array"))]
+static ON_LOAD: extern "C" fn() = choose_version;
+
+/// Scoreboards came with version 2.
+extern "C" fn choose_version() {
+    // SAFETY: the name is a C string; dlsym has no other requirement.
+    if !unsafe { libc::dlsym(libc::RTLD_DEFAULT, c"qemu_plugin_scoreboard_new".as_ptr()) }.is_null() {
+        qemu_plugin_version.store(2, Ordering::Relaxed);
+    }
+}
 
 static OUT: Mutex<Option<BufWriter<UnixStream>>> = Mutex::new(None);
 
