@@ -30,6 +30,9 @@ struct Arguments {
     /// Address of the CAN port, which speaks SLCAN
     #[arg(long, value_name = "ADDRESS")]
     can: SocketAddr,
+    /// Address of the console that makes faults and drives pins; emulator/README.md lists its lines
+    #[arg(long, value_name = "ADDRESS")]
+    control: Option<SocketAddr>,
     /// End after this many seconds instead of at Ctrl-C
     #[arg(long)]
     seconds: Option<u64>,
@@ -61,6 +64,9 @@ fn main() -> Result<()> {
     options.usart2 = Endpoint::At(arguments.rs485_a);
     options.usart3 = Endpoint::At(arguments.rs485_b);
     options.can = Endpoint::At(arguments.can);
+    if let Some(address) = arguments.control {
+        options.faults = Endpoint::At(address);
+    }
     let mut emulator = Emulator::launch(&options)?;
 
     let stream = emulator.connect(Port::Usart1)?;

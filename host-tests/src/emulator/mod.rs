@@ -17,7 +17,7 @@ mod process;
 
 pub use capture::Capture;
 pub use debugger::Debugger;
-pub use options::{Endpoint, Options};
+pub use options::{Endpoint, Options, QEMU};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use monitor::Monitor;
@@ -81,6 +81,7 @@ pub struct Emulator {
     monitor: Monitor,
     messages: Messages,
     patience: Duration,
+    version: String,
 }
 
 impl Emulator {
@@ -115,8 +116,14 @@ impl Emulator {
             .with_context(|| format!("can't start {}", options.qemu.display()))?;
         // Else the monitor would not close with QEMU.
         drop(theirs);
-        let mut emulator =
-            Self { child, addresses, monitor: Monitor::new(ours), messages, patience: options.patience };
+        let mut emulator = Self {
+            child,
+            addresses,
+            monitor: Monitor::new(ours),
+            messages,
+            patience: options.patience,
+            version: String::new(),
+        };
         emulator.greet().map_err(|error| emulator.explain(error))?;
         if !options.paused {
             emulator.resume()?;
@@ -215,6 +222,12 @@ impl Emulator {
         self.messages.text()
     }
 
+    /// Release of the running QEMU, such as `7.2.22`.
+    #[must_use]
+    pub fn version(&self) -> &str {
+        &self.version
+    }
+
     /// QEMU's process.
     #[must_use]
     pub fn id(&self) -> u32 {
@@ -246,7 +259,8 @@ impl Emulator {
     /// Takes the monitor into use. QEMU answers it when all ports are open and the machine is complete.
     fn greet(&mut self) -> Result<()> {
         let deadline = Instant::now() + self.patience;
-        self.monitor.find(&["\"QMP\""], deadline)?;
+        let greeting = self.monitor.find(&["\"QMP\""], deadline)?;
+        self.version = monitor::version(&greeting).context("QEMU does not tell its version")?;
         self.monitor.execute("qmp_capabilities", deadline)?;
         self.monitor.execute("query-status", deadline)
     }

@@ -65,3 +65,26 @@ impl Monitor {
         }
     }
 }
+
+/// The release in the monitor's greeting, which has the three numbers by name and in any order.
+pub(super) fn version(greeting: &str) -> Option<String> {
+    let numbers = greeting.split_once("\"qemu\"")?.1;
+    let number = |name: &str| {
+        let rest = numbers.split_once(&format!("\"{name}\":"))?.1.trim_start();
+        let end = rest.find(|character: char| !character.is_ascii_digit())?;
+        rest[..end].parse::<u32>().ok()
+    };
+    Some(format!("{}.{}.{}", number("major")?, number("minor")?, number("micro")?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_release_stands_in_the_greeting() {
+        let greeting = r#"{"QMP": {"version": {"qemu": {"micro": 22, "minor": 2, "major": 7}, "package": "Debian 1:7.2"}}}"#;
+        assert_eq!(version(greeting).as_deref(), Some("7.2.22"));
+        assert_eq!(version(r#"{"QMP": {}}"#), None);
+    }
+}

@@ -2,12 +2,16 @@
 
 use super::Port;
 use anyhow::{Context, Result};
+use std::env;
 use std::ffi::{OsStr, OsString};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::os::fd::RawFd;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
+
+/// Environment variable that names the QEMU to run.
+pub const QEMU: &str = "JOINTBUS_QEMU";
 
 /// Where a port listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -26,7 +30,8 @@ pub struct Options {
     pub image: PathBuf,
     /// The plugin's library.
     pub plugin: PathBuf,
-    /// QEMU: a path, or a name to look for in `PATH`.
+    /// QEMU: a path, or a name to look for in `PATH`. At first the one that the environment names ([`QEMU`]), else
+    /// `qemu-system-arm`.
     pub qemu: PathBuf,
     /// The host's port.
     pub usart1: Endpoint,
@@ -66,7 +71,7 @@ impl Options {
         Self {
             image: image.into(),
             plugin: plugin.into(),
-            qemu: "qemu-system-arm".into(),
+            qemu: env::var_os(QEMU).map_or_else(|| "qemu-system-arm".into(), PathBuf::from),
             usart1: Endpoint::Free,
             usart2: Endpoint::Free,
             usart3: Endpoint::Free,

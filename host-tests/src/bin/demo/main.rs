@@ -9,10 +9,10 @@ mod show;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser};
-use jointbus_host_tests::bench::Bench;
+use jointbus_host_tests::bench::{Bench, Bridge};
 use poll::Poller;
 use show::Screen;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -54,7 +54,10 @@ fn main() -> Result<ExitCode> {
     println!("the host port, for your own programs:");
     println!("  TCP       {}", share.listen()?);
     #[cfg(unix)]
-    println!("  terminal  {}", share.terminal()?.display());
+    match share.terminal() {
+        Ok(path) => println!("  terminal  {}", path.display()),
+        Err(error) => println!("  terminal  none: this system gives no pseudo-terminal ({error})"),
+    }
     println!("polling for {} s", arguments.seconds);
 
     let mut poller = Poller::new(&bench, &share);
@@ -77,7 +80,22 @@ fn main() -> Result<ExitCode> {
     drop(poller);
     drop(share);
     bench.bridge.check()?;
+    let verdict = if right { "every answer was right" } else { "NOT every answer was right" };
+    println!("{verdict}; it came from {}", origin(&bench.bridge, arguments.bridge.image.as_deref()));
     Ok(if right { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What has answered.
+fn origin(bridge: &Bridge, image: Option<&Path>) -> String {
+    match bridge {
+        #[cfg(unix)]
+        Bridge::Emulated(emulator) => format!(
+            "the firmware image {} on the emulated STM32F405 (QEMU {})",
+            image.and_then(Path::file_name).unwrap_or_default().display(),
+            emulator.version()
+        ),
+        Bridge::InProcess(_) => "the bridge's engine in this process, without a firmware image".into(),
+    }
 }
 
 fn boot(arguments: &BridgeArguments) -> Result<Bench> {
@@ -92,12 +110,12 @@ fn boot(arguments: &BridgeArguments) -> Result<Bench> {
 }
 
 #[cfg(unix)]
-fn emulated(image: &std::path::Path, plugin: &std::path::Path) -> Result<Bench> {
+fn emulated(image: &Path, plugin: &Path) -> Result<Bench> {
     println!("booting {} on the emulated STM32F405", image.display());
     Bench::emulated(&jointbus_host_tests::emulator::Options::new(image, plugin))
 }
 
 #[cfg(not(unix))]
-fn emulated(_: &std::path::Path, _: &std::path::Path) -> Result<Bench> {
+fn emulated(_: &Path, _: &Path) -> Result<Bench> {
     bail!("there is no emulator for this system; --in-process runs everywhere")
 }
