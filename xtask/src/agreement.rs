@@ -28,8 +28,9 @@ pub(crate) fn briefly(workspace: &Workspace) -> Result<()> {
 
 /// Sends the same requests to both; fails at the first difference that no rule explains.
 pub(crate) fn agree(workspace: &Workspace, extent: &Extent) -> Result<()> {
-    setup::libmodbus()?;
+    let libmodbus = setup::libmodbus(workspace)?;
     let mut command = workspace.cargo();
+    libmodbus.tell(&mut command);
     command
         .args(["run", "--quiet", "--release", "--manifest-path", "agreement/Cargo.toml", "--target-dir"])
         .arg(workspace.target.join("agreement"))

@@ -1,33 +1,29 @@
 //! Something to watch: a host talks through the bridge to simulated devices.
 
-use std::path::PathBuf;
-
 use anyhow::Result;
+use clap::Args;
 
 use crate::workspace::Workspace;
-use crate::{emulate, firmware, run, setup};
+use crate::{emulate, run};
 
-/// Runs the demonstration on the emulated part; where there can be no emulator, says so and runs it in one process.
-pub(crate) fn demo(workspace: &Workspace, seconds: Option<u64>) -> Result<()> {
-    let mut command = emulate::harness(workspace, "demo", seconds);
-    match prepare(workspace) {
-        Ok(plugin) => {
-            // An image that does not build is our mistake, and nothing to step aside for.
-            let image = firmware::build(workspace)?;
-            command.arg("--image").arg(image.elf).arg("--plugin").arg(plugin);
-        }
-        Err(reason) => {
-            println!("demo: the firmware image cannot be emulated here: {}", run::explain(&reason));
-            println!("demo: so the bridge's engine runs in this process, without the image");
-            command.arg("--in-process");
-        }
-    }
-    run::shown(&mut command)
+/// How to run the demonstration.
+#[derive(Args)]
+pub(crate) struct Manner {
+    /// Stop after this many seconds; without it, after 10
+    #[arg(long)]
+    seconds: Option<u64>,
+    /// Run the bridge's engine in one process with the devices, without the firmware image
+    #[arg(long)]
+    in_process: bool,
 }
 
-/// What the emulation needs beside the image; the answer is the plugin.
-fn prepare(workspace: &Workspace) -> Result<PathBuf> {
-    setup::toolchain(workspace)?;
-    setup::emulator()?;
-    emulate::build_plugin(workspace)
+/// Runs the demonstration: on the emulated part, or in one process where that is asked for or where no emulator can be.
+pub(crate) fn demo(workspace: &Workspace, manner: &Manner) -> Result<()> {
+    let mut command = emulate::harness(workspace, "demo", manner.seconds);
+    if manner.in_process || !cfg!(target_os = "linux") {
+        command.arg("--in-process");
+    } else {
+        emulate::prepare(workspace)?.tell(&mut command);
+    }
+    run::shown(&mut command)
 }

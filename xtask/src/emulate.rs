@@ -8,6 +8,7 @@ use std::process::Command;
 use anyhow::{Result, ensure};
 use clap::Args;
 
+use crate::progress::Plan;
 use crate::workspace::Workspace;
 use crate::{firmware, run, setup};
 
@@ -32,6 +33,9 @@ pub(crate) struct Ports {
     /// Address of the CAN port
     #[arg(long, value_name = "ADDRESS")]
     can: SocketAddr,
+    /// Address of the console that makes faults and drives pins; emulator/README.md lists its lines
+    #[arg(long, value_name = "ADDRESS")]
+    control: Option<SocketAddr>,
     /// Stop after this many seconds instead of at Ctrl-C
     #[arg(long)]
     seconds: Option<u64>,
@@ -39,21 +43,46 @@ pub(crate) struct Ports {
 
 /// Builds what is needed and runs it.
 pub(crate) fn emulate(workspace: &Workspace, ports: &Ports) -> Result<()> {
-    setup::emulator()?;
-    let image = firmware::build(workspace)?;
-    let plugin = build_plugin(workspace)?;
+    let parts = prepare(workspace)?;
     let mut command = harness(workspace, "emulate", ports.seconds);
-    command.arg("--image").arg(image.elf).arg("--plugin").arg(plugin);
+    parts.tell(&mut command);
     let addresses = [
         ("--host", ports.host),
         ("--rs485-a", ports.rs485_a),
         ("--rs485-b", ports.rs485_b),
         ("--can", ports.can),
     ];
-    for (name, address) in addresses {
+    for (name, address) in addresses.into_iter().chain(ports.control.map(|address| ("--control", address))) {
         command.args([name, &address.to_string()]);
     }
     run::shown(&mut command)
+}
+
+/// What the harness's programs need to run the image.
+pub(crate) struct Parts {
+    image: PathBuf,
+    emulator: setup::Emulator,
+}
+
+impl Parts {
+    /// Tells a program of the harness.
+    pub(crate) fn tell(&self, command: &mut Command) {
+        self.emulator.tell(command);
+        command.arg("--image").arg(&self.image).arg("--plugin").arg(&self.emulator.plugin);
+    }
+}
+
+/// Sets up and builds all of it, step by step.
+pub(crate) fn prepare(workspace: &Workspace) -> Result<Parts> {
+    let mut plan = Plan::new(&[15, 60, 45, 40]);
+    plan.step("the toolchain for the microcontroller");
+    setup::toolchain(workspace)?;
+    plan.step("the emulator and its plugin");
+    let emulator = setup::emulator(workspace)?;
+    plan.step("the firmware image");
+    let image = firmware::build(workspace)?.elf;
+    plan.step("the program that runs it");
+    Ok(Parts { image, emulator })
 }
 
 /// Builds the plugin; the answer is its library.

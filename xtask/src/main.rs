@@ -1,6 +1,6 @@
 //! Everything a developer does with this repository, each as one command: `cargo xtask --help`.
 //!
-//! Every command first sets up what it needs and says so in one line; where it may not, it fails and names what to
+//! Every command first sets up what it needs, into the build directory; where it can't, it fails and names what to
 //! install. This file holds the command line only.
 
 mod agreement;
@@ -12,7 +12,9 @@ mod firmware;
 mod fuzz;
 mod miri;
 mod msrv;
+mod portable;
 mod probe;
+mod progress;
 mod run;
 mod setup;
 mod sim;
@@ -45,11 +47,7 @@ enum Task {
     /// Run the image in the emulator, its ports reachable as TCP sockets
     Emulate(emulate::Ports),
     /// Watch a host talk through the bridge to simulated devices
-    Demo {
-        /// Stop after this many seconds instead of at Ctrl-C
-        #[arg(long)]
-        seconds: Option<u64>,
-    },
+    Demo(demo::Manner),
     /// Show the flash, static RAM and worst-case stack of the image, and what each server and dispatcher takes
     Size,
     /// Measure everything and show it beside what others have; it also leaves a report with plots in the build directory
@@ -87,7 +85,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
             Ok(())
         }
         Task::Emulate(ports) => emulate::emulate(&workspace, &ports),
-        Task::Demo { seconds } => demo::demo(&workspace, seconds),
+        Task::Demo(manner) => demo::demo(&workspace, &manner),
         Task::Size => size::size(&workspace),
         Task::Bench(manner) => bench::bench(&workspace, &manner),
         Task::Fuzz(budget) => fuzz::fuzz(&workspace, &budget),

@@ -35,15 +35,15 @@ pub(crate) fn panic_free(workspace: &Workspace) -> Result<()> {
     let toolchain = setup::toolchain(workspace)?;
     every_function_is_probed(workspace)?;
     for profile in PROFILES {
-        let mut command = image(workspace, toolchain, "build", profile, FEATURE);
+        let mut command = image(workspace, &toolchain, "build", profile, FEATURE);
         println!("{IMAGE} with profile {profile}: links");
         if let Err(error) = run::quiet(&mut command, BUILD_LIMIT) {
             ensure!(error.to_string().contains(MISSING), "{error:#}");
-            bail!("a panic survives profile {profile}:\n{}", callers(workspace, toolchain, profile)?);
+            bail!("a panic survives profile {profile}:\n{}", callers(workspace, &toolchain, profile)?);
         }
         let features = format!("{FEATURE},{SABOTAGE}");
         println!("{IMAGE} with profile {profile} and a deliberate panic: does not link");
-        match run::quiet(&mut image(workspace, toolchain, "build", profile, &features), BUILD_LIMIT) {
+        match run::quiet(&mut image(workspace, &toolchain, "build", profile, &features), BUILD_LIMIT) {
             Err(error) if error.to_string().contains(MISSING) => {}
             Err(error) => return Err(error.context("it failed, but not for the panic")),
             Ok(()) => bail!("an image with a panic in it links with profile {profile}: the proof is void"),
@@ -63,7 +63,7 @@ pub(crate) fn clippy(workspace: &Workspace) -> Result<()> {
 /// A cargo command on the image.
 fn image(
     workspace: &Workspace,
-    toolchain: Toolchain,
+    toolchain: &Toolchain,
     subcommand: &str,
     profile: &str,
     features: &str,
@@ -74,7 +74,7 @@ fn image(
 }
 
 /// Who calls what can panic: the image is linked all the same, with its relocations kept.
-fn callers(workspace: &Workspace, toolchain: Toolchain, profile: &str) -> Result<String> {
+fn callers(workspace: &Workspace, toolchain: &Toolchain, profile: &str) -> Result<String> {
     let mut command = image(workspace, toolchain, "rustc", profile, FEATURE);
     let arguments = ["-C", "link-arg=--unresolved-symbols=ignore-all", "-C", "link-arg=--emit-relocs"];
     run::quiet(command.arg("--").args(arguments), BUILD_LIMIT)?;

@@ -53,6 +53,19 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
+/// As [`output`], from a program that may not take longer than `limit`.
+pub(crate) fn output_within(command: &mut Command, limit: Duration) -> Result<String> {
+    let printed = tempfile::NamedTempFile::new().context("cannot make a temporary file")?;
+    let line = line(command);
+    command.stdin(Stdio::null()).stdout(printed.reopen()?).stderr(Stdio::null());
+    let mut child = command.spawn().with_context(|| format!("cannot start `{line}`"))?;
+    match wait(&mut child, limit)? {
+        Some(status) if status.success() => Ok(std::fs::read_to_string(printed.path())?),
+        Some(status) => bail!("`{line}`: {status}"),
+        None => bail!("`{line}`: no answer within {} s", limit.as_secs()),
+    }
+}
+
 /// An error and its causes, one below the other.
 pub(crate) fn explain(error: &anyhow::Error) -> String {
     error.chain().map(ToString::to_string).collect::<Vec<_>>().join("\n  because: ")
@@ -60,7 +73,12 @@ pub(crate) fn explain(error: &anyhow::Error) -> String {
 
 /// Where in `PATH` a program is, if it is.
 pub(crate) fn find(program: &str) -> Option<PathBuf> {
-    env::split_paths(&env::var_os("PATH")?).map(|folder| folder.join(program)).find(|path| is_program(path))
+    find_in(&env::var_os("PATH")?, program)
+}
+
+/// Where in a list of folders a program is, if it is.
+pub(crate) fn find_in(path: &OsStr, program: &str) -> Option<PathBuf> {
+    env::split_paths(path).map(|folder| folder.join(program)).find(|path| is_program(path))
 }
 
 /// Waits for the end of a program, and ends it when it takes longer than `limit` (the answer is then `None`).
@@ -104,7 +122,7 @@ fn shorten_path(name: &OsStr, value: &str) -> String {
 }
 
 /// The word as a shell wants it.
-fn quoted(word: &str) -> String {
+pub(crate) fn quoted(word: &str) -> String {
     let plain = |character: char| character.is_ascii_alphanumeric() || "-_./:=,+@%".contains(character);
     if !word.is_empty() && word.chars().all(plain) {
         word.to_owned()

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use crate::bench::{Figures, m4};
 use crate::setup::{self, TARGET};
 use crate::workspace::Workspace;
-use crate::{contributors, emulate, firmware, run, test};
+use crate::{contributors, firmware, run, test};
 
 /// The test that paints the image's stack and prints how much of it was used.
 const PAINTED: &str = "resets::no_request_uses_more_stack_than_there_is";
@@ -25,7 +25,7 @@ const SUBJECTS: [(&str, &str); 6] = [
 
 /// Measures all and prints a table.
 pub(crate) fn size(workspace: &Workspace) -> Result<()> {
-    setup::emulator()?;
+    setup::emulator(workspace)?;
     image(workspace)?;
     let (profile, place) = m4::PROFILES[0];
     let mut figures = Figures::default();
@@ -63,9 +63,10 @@ fn image(workspace: &Workspace) -> Result<()> {
 
 /// The deepest that the image's stack was seen in the emulator: a test of the image finds out.
 fn used(workspace: &Workspace, image: &firmware::Image) -> Result<u32> {
-    let plugin = emulate::build_plugin(workspace)?;
+    let emulator = setup::emulator(workspace)?;
     let mut command = workspace.cargo();
-    command.env(test::IMAGE, &image.elf).env(test::PLUGIN, plugin);
+    emulator.tell(&mut command);
+    command.env(test::IMAGE, &image.elf).env(test::PLUGIN, emulator.plugin);
     command.args(["test", "--package", "jointbus-host-tests", "--test", "image", "--", "--exact", PAINTED]);
     let printed = run::output(command.arg("--nocapture"))?;
     let used = printed

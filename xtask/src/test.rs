@@ -1,12 +1,13 @@
 //! Every check, one after the other, until one fails.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
 
+use crate::progress::shown;
 use crate::workspace::Workspace;
-use crate::{agreement, bench, emulate, firmware, fuzz, miri, msrv, probe, run, setup};
+use crate::{agreement, bench, firmware, fuzz, miri, msrv, portable, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 pub(crate) const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -15,6 +16,12 @@ pub(crate) const PLUGIN: &str = "JOINTBUS_EMULATOR_PLUGIN";
 /// Tells the tests which Python has the real clients.
 const PYTHON: &str = "JOINTBUS_PYTHON";
 
+/// The package with the tests of the image and of the plugin.
+const HARNESS: &str = "jointbus-host-tests";
+
+/// Steps that are named in the end for the time that they took.
+const SLOWEST: usize = 5;
+
 /// The crate that others take from a registry.
 const PROTOCOL: &str = "jointbus-protocol";
 
@@ -22,6 +29,8 @@ const PROTOCOL: &str = "jointbus-protocol";
 struct Step {
     /// What `--only` takes.
     name: &'static str,
+    /// What it takes on two cores from a fresh clone.
+    seconds: u64,
     /// What it does, as a headline.
     about: &'static str,
     /// Sets up what the check needs; all of this comes before the first check.
@@ -33,12 +42,14 @@ struct Step {
 static STEPS: &[Step] = &[
     Step {
         name: "format",
+        seconds: 2,
         about: "the code is formatted",
         prepare: setup::components,
         run: |workspace| run::shown(workspace.cargo().args(["fmt", "--all", "--", "--check"])),
     },
     Step {
         name: "clippy",
+        seconds: 40,
         about: "the linter has nothing to say about the host's code",
         prepare: setup::components,
         run: |workspace| {
@@ -54,6 +65,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "clippy-firmware",
+        seconds: 30,
         about: "the linter has nothing to say about the image's code",
         prepare: |workspace| {
             setup::components(workspace)?;
@@ -67,6 +79,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "firmware",
+        seconds: 30,
         about: "the image builds and fits the part",
         prepare: |workspace| setup::toolchain(workspace).map(drop),
         run: |workspace| {
@@ -76,18 +89,28 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "panic-free",
+        seconds: 50,
         about: "nothing in the protocol crate can panic on the part, optimised for size or for speed",
         prepare: |workspace| setup::toolchain(workspace).map(drop),
         run: probe::panic_free,
     },
     Step {
         name: "emulator",
-        about: "the emulator's plugin builds",
-        prepare: |_| Ok(()),
-        run: |workspace| emulate::build_plugin(workspace).map(drop),
+        seconds: 10,
+        about: "the emulator's plugin works in the oldest and the newest QEMU that it is made for",
+        prepare: |workspace| setup::emulators(workspace).map(drop),
+        run: emulators,
+    },
+    Step {
+        name: "portable",
+        seconds: 60,
+        about: "everything but the image compiles for Windows and macOS",
+        prepare: portable::prepare,
+        run: portable::check,
     },
     Step {
         name: "docs",
+        seconds: 20,
         about: "the documentation builds, its links lead somewhere",
         prepare: |_| Ok(()),
         run: |workspace| {
@@ -97,6 +120,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "package",
+        seconds: 15,
         about: "the protocol crate can be published, and its one feature only adds",
         prepare: setup::components,
         run: |workspace| {
@@ -108,20 +132,23 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "msrv",
+        seconds: 45,
         about: "the protocol crate builds and passes with the oldest Rust that it promises",
         prepare: |_| Ok(()),
         run: msrv::msrv,
     },
     Step {
         name: "tests",
+        seconds: 150,
         about: "the tests pass, also those on the emulated part and with real clients",
         prepare: setup::all,
         run: tests,
     },
     Step {
         name: "agreement",
+        seconds: 15,
         about: "the general server and libmodbus answer alike, or a rule says why not",
-        prepare: |_| setup::libmodbus(),
+        prepare: |workspace| setup::libmodbus(workspace).map(drop),
         run: |workspace| {
             agreement::clippy(workspace)?;
             agreement::briefly(workspace)
@@ -129,6 +156,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "bench",
+        seconds: 100,
         about: "every figure holds its limit",
         prepare: |workspace| {
             setup::components(workspace)?;
@@ -141,12 +169,14 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "miri",
+        seconds: 60,
         about: "the protocol crate's unit tests have no undefined behaviour",
         prepare: setup::nightly::miri,
         run: miri::miri,
     },
     Step {
         name: "fuzz",
+        seconds: 120,
         about: "a minute of hostile input finds nothing",
         prepare: setup::nightly::fuzzer,
         run: fuzz::briefly,
@@ -169,18 +199,24 @@ pub(crate) fn test(workspace: &Workspace, selection: &Selection) -> Result<()> {
     let steps = chosen(&selection.only);
     if selection.list {
         for step in &steps {
-            println!("{:<16} {}", step.name, step.about);
+            println!("{:<16} {:>5} s  {}", step.name, step.seconds, step.about);
         }
         return Ok(());
     }
+    let start = Instant::now();
+    println!("{}, about {} on two cores from a fresh clone", count(steps.len()), shown(expected(&steps)));
     for step in &steps {
         (step.prepare)(workspace).with_context(|| format!("cannot set up what `{}` needs", step.name))?;
     }
+    println!("set up in {}", shown(start.elapsed()));
+    let mut taken = Vec::new();
     for (index, step) in steps.iter().enumerate() {
         println!("\n== {} of {}: {} ({})", index + 1, steps.len(), step.name, step.about);
-        let start = Instant::now();
+        let to_go = expected(&steps[index..]);
+        println!("== {} so far, about {} to go", shown(start.elapsed()), shown(to_go));
+        let began = Instant::now();
         if let Err(error) = (step.run)(workspace) {
-            println!("== {} failed after {:.1} s", step.name, start.elapsed().as_secs_f64());
+            println!("== {} failed after {}", step.name, shown(began.elapsed()));
             let passed: Vec<_> = steps.iter().take(index).map(|step| step.name).collect();
             if !passed.is_empty() {
                 println!("passed before it: {}", passed.join(", "));
@@ -188,10 +224,28 @@ pub(crate) fn test(workspace: &Workspace, selection: &Selection) -> Result<()> {
             println!("to repeat it:     cargo xtask test --only {}", step.name);
             return Err(error.context(format!("step {} failed", step.name)));
         }
-        println!("== {} passed in {:.1} s", step.name, start.elapsed().as_secs_f64());
+        println!("== {} passed in {}", step.name, shown(began.elapsed()));
+        taken.push((step.name, began.elapsed()));
     }
-    println!("\n{} {} passed", steps.len(), if steps.len() == 1 { "step" } else { "steps" });
+    println!("\nslowest: {}", slowest(taken));
+    println!("{} passed in {}", count(steps.len()), shown(start.elapsed()));
     Ok(())
+}
+
+fn count(steps: usize) -> String {
+    format!("{steps} {}", if steps == 1 { "step" } else { "steps" })
+}
+
+/// What these steps take together, their set-up left out.
+fn expected(steps: &[&Step]) -> Duration {
+    Duration::from_secs(steps.iter().map(|step| step.seconds).sum())
+}
+
+/// The steps that took longest, the first one first.
+fn slowest(mut taken: Vec<(&str, Duration)>) -> String {
+    taken.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
+    let shown = taken.iter().take(SLOWEST).map(|(name, time)| format!("{name} {}", shown(*time)));
+    shown.collect::<Vec<_>>().join(", ")
 }
 
 /// The steps of those names in the order of the table; without names, all.
@@ -207,11 +261,27 @@ fn names() -> Vec<&'static str> {
 /// `cargo test`, its tests told where everything is. A test that needs one of these fails without it.
 fn tests(workspace: &Workspace) -> Result<()> {
     let image = firmware::build(workspace)?;
-    let plugin = emulate::build_plugin(workspace)?;
+    let emulator = setup::emulator(workspace)?;
     let python = setup::clients(workspace)?;
     let mut command = workspace.cargo();
-    command.env(IMAGE, image.elf).env(PLUGIN, plugin).env(PYTHON, python);
+    setup::tell_programs(workspace, &mut command);
+    emulator.tell(&mut command);
+    command.env(IMAGE, image.elf).env(PLUGIN, emulator.plugin).env(PYTHON, python);
     run::shown(command.args(["test", "--workspace"]))
+}
+
+/// The tests that touch what releases of QEMU differ in, with each of them.
+fn emulators(workspace: &Workspace) -> Result<()> {
+    let image = firmware::build(workspace)?;
+    for (release, emulator) in setup::emulators(workspace)? {
+        println!("with QEMU {release}:");
+        let mut command = workspace.cargo();
+        emulator.tell(&mut command);
+        command.env(IMAGE, &image.elf).env(PLUGIN, &emulator.plugin);
+        command.args(["test", "--package", HARNESS, "--test", "emulator_plugin", "--test", "image"]);
+        run::shown(&mut command)?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -239,5 +309,21 @@ mod tests {
         all.sort_unstable();
         all.dedup();
         assert_eq!(all.len(), STEPS.len());
+    }
+
+    #[test]
+    fn the_slowest_steps_come_first() {
+        let taken = vec![("a", seconds(1)), ("b", seconds(3)), ("c", seconds(2))];
+        assert_eq!(slowest(taken), "b 3 s, c 2 s, a 1 s");
+    }
+
+    #[test]
+    fn all_of_it_is_expected_to_take_less_than_twenty_minutes() {
+        let all: Vec<&Step> = STEPS.iter().collect();
+        assert!(expected(&all) < seconds(20 * 60), "{:?}", expected(&all));
+    }
+
+    const fn seconds(seconds: u64) -> Duration {
+        Duration::from_secs(seconds)
     }
 }

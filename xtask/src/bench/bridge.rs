@@ -9,7 +9,7 @@ use anyhow::Result;
 use super::figures::Figures;
 use super::{MANIFEST, builds};
 use crate::workspace::Workspace;
-use crate::{emulate, firmware, run};
+use crate::{firmware, run, setup};
 
 /// The package of the programs.
 pub(crate) const PACKAGE: &str = "jointbus-bench-bridge";
@@ -50,7 +50,7 @@ pub(crate) fn profile(workspace: &Workspace) -> Result<()> {
 
 /// The program that runs the image on the emulator with the recorder.
 fn recorded(workspace: &Workspace, image: &firmware::Image) -> Result<Command> {
-    let plugin = emulate::build_plugin(workspace)?;
+    let emulator = setup::emulator(workspace)?;
     let mut command = workspace.cargo();
     command.args(["build", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"]);
     command.arg(builds(workspace)).args(["--package", PACKAGE, "--package", RECORDER]);
@@ -58,7 +58,8 @@ fn recorded(workspace: &Workspace, image: &firmware::Image) -> Result<Command> {
     let folder = programs(workspace);
     let recorder = folder.join(format!("{DLL_PREFIX}{}{DLL_SUFFIX}", RECORDER.replace('-', "_")));
     let mut command = workspace.command(folder.join("image"));
-    command.arg(&image.elf).arg(plugin).arg(recorder);
+    emulator.tell(&mut command);
+    command.arg(&image.elf).arg(emulator.plugin).arg(recorder);
     Ok(command)
 }
 

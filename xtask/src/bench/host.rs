@@ -7,8 +7,8 @@ use anyhow::{Context, Result, ensure};
 
 use super::figures::Figures;
 use super::{MANIFEST, builds};
-use crate::run;
 use crate::workspace::Workspace;
+use crate::{run, setup};
 
 const PACKAGE: &str = "jointbus-bench-host";
 /// Optimised for speed.
@@ -21,6 +21,9 @@ const MEASURED: &str = "measured";
 /// Counts; with others' servers only if asked for.
 pub(crate) fn measure(workspace: &Workspace, others: bool, figures: &mut Figures) -> Result<()> {
     let mut command = workspace.cargo();
+    if others {
+        setup::libmodbus(workspace)?.tell(&mut command);
+    }
     command.args([
         "build",
         "--quiet",
@@ -37,9 +40,13 @@ pub(crate) fn measure(workspace: &Workspace, others: bool, figures: &mut Figures
     }
     run::shown(&mut command)?;
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let mut command = workspace.command("valgrind");
+    let mut command = workspace.command("env");
+    setup::tell_programs(workspace, &mut command);
+    if others {
+        setup::libmodbus(workspace)?.tell(&mut command);
+    }
     command
-        .args(["--quiet", "--tool=callgrind"])
+        .args(["valgrind", "--quiet", "--tool=callgrind"])
         .arg(format!("--callgrind-out-file={}", folder.path().join("out").display()))
         .args([format!("--toggle-collect={MEASURED}"), format!("--dump-after={MEASURED}")])
         .arg(builds(workspace).join(PROFILE).join(PACKAGE));

@@ -68,7 +68,7 @@ pub(crate) fn measure_some(
     (profile, place): (&str, &str),
     figures: &mut Figures,
 ) -> Result<()> {
-    setup::emulator()?;
+    let emulator = setup::emulator(workspace)?;
     let mut command = setup::toolchain(workspace)?.cargo(workspace, "build");
     command.args(["--quiet", "--manifest-path", MANIFEST, "--package", PACKAGE, "--profile", profile]);
     command.arg("--target-dir").arg(builds(workspace));
@@ -90,13 +90,14 @@ pub(crate) fn measure_some(
         let usage = usage(image)?;
         figures.set(place, image, "flash", f64::from(usage.flash.saturating_sub(empty.flash)));
         figures.set(place, image, "static RAM", f64::from(usage.static_ram.saturating_sub(empty.static_ram)));
-        let mut emulator = Command::new("timeout");
-        emulator
-            .args([RUN_LIMIT, "qemu-system-arm", "-machine", MACHINE, "-display", "none", "-monitor", "none"])
+        let mut run = Command::new("timeout");
+        run.arg(RUN_LIMIT)
+            .arg(&emulator.qemu)
+            .args(["-machine", MACHINE, "-display", "none", "-monitor", "none"])
             .args(["-serial", "none", "-icount", "shift=0", "-chardev", "stdio,id=host"])
             .args(["-semihosting-config", "enable=on,target=native,chardev=host", "-kernel"])
             .arg(folder.join(image));
-        let printed = run::output(&mut emulator)?;
+        let printed = run::output(&mut run)?;
         understand(&printed, (place, image), figures)
             .with_context(|| format!("{image} printed `{printed}`"))?;
     }

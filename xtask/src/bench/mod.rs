@@ -52,7 +52,7 @@ pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
     if manner.profile {
         return bridge::profile(workspace);
     }
-    setup::libmodbus()?;
+    setup::libmodbus(workspace)?;
     let figures = measure(workspace, true)?;
     let tables = format!("{}\n{}", conditions(workspace)?, report::tables(&figures)?);
     let verdicts = limits::verdicts(&figures)?;
@@ -80,8 +80,8 @@ pub(crate) fn bench(workspace: &Workspace, manner: &Manner) -> Result<()> {
 /// Sets up what the check needs.
 pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
     setup::toolchain(workspace)?;
-    setup::emulator()?;
-    setup::valgrind()
+    setup::emulator(workspace)?;
+    setup::valgrind(workspace)
 }
 
 /// Measures what has a limit, and fails where one does not hold.
@@ -130,7 +130,10 @@ fn conditions(workspace: &Workspace) -> Result<String> {
         let printed = run::output(command.arg("--version"))?;
         Ok(printed.lines().next().unwrap_or_default().to_owned())
     };
-    let versions = [workspace.command(compiler), Command::new("qemu-system-arm"), Command::new("valgrind")];
+    let mut valgrind = Command::new("env");
+    setup::tell_programs(workspace, &mut valgrind);
+    valgrind.arg("valgrind");
+    let versions = [workspace.command(compiler), Command::new(setup::emulator(workspace)?.qemu), valgrind];
     let versions = versions.into_iter().map(version).collect::<Result<Vec<_>>>()?;
     Ok(format!("Taken with {}.\n", versions.join(", ")))
 }

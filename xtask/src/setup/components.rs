@@ -2,57 +2,46 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 
-use super::apt;
+use super::advice::Advice;
 use crate::run;
 use crate::workspace::Workspace;
 
 /// Two small downloads.
 const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
 
-/// A subcommand of cargo, and where it comes from.
-#[derive(Clone, Copy)]
-struct Component {
-    subcommand: &'static str,
-    /// With rustup.
-    component: &'static str,
-    /// Debian's package beside its `rustc-web`.
-    package: &'static str,
-}
+/// Subcommands of cargo, and what rustup calls them.
+const COMPONENTS: [(&str, &str); 2] = [("fmt", "rustfmt"), ("clippy", "clippy")];
 
-const COMPONENTS: [Component; 2] = [
-    Component { subcommand: "fmt", component: "rustfmt", package: "rustfmt-web" },
-    Component { subcommand: "clippy", component: "clippy", package: "rust-web-clippy" },
-];
+const ADVICE: Advice = Advice {
+    what: "`cargo fmt` and `cargo clippy`",
+    purpose: "formatting and linting (with rustup, on any system: rustup component add rustfmt clippy)",
+    debian: "sudo apt-get install rustfmt-web rust-web-clippy, beside rustc-web",
+    fedora: "sudo dnf install rustfmt clippy",
+    arch: "sudo pacman -S rust",
+    macos: "brew install rust",
+};
 
-/// Installs what is missing, the way the toolchain itself was installed.
+/// Has rustup add what is missing.
 pub(crate) fn ensure(workspace: &Workspace) -> Result<()> {
-    let missing: Vec<Component> =
-        COMPONENTS.into_iter().filter(|component| !works(workspace, *component)).collect();
+    let missing: Vec<&str> = COMPONENTS
+        .into_iter()
+        .filter(|(subcommand, _)| !works(workspace, subcommand))
+        .map(|(_, component)| component)
+        .collect();
     if missing.is_empty() {
         return Ok(());
     }
-    let components: Vec<_> = missing.iter().map(|component| component.component).collect();
-    let packages: Vec<_> = missing.iter().map(|component| component.package).collect();
-    let installed = if run::find("rustup").is_some() {
-        println!("setup: adding {} with rustup", components.join(", "));
-        let mut command = workspace.command("rustup");
-        run::quiet(command.args(["component", "add"]).args(&components), RUSTUP_LIMIT)
-    } else {
-        apt::install(&packages)
-    };
-    installed.with_context(|| {
-        format!(
-            "missing: {}\n  with rustup: rustup component add {}\n  Debian: apt-get install {}",
-            components.join(", "),
-            components.join(" "),
-            packages.join(" ")
-        )
-    })
+    if run::find("rustup").is_none() {
+        bail!(ADVICE);
+    }
+    println!("setup: adding {} with rustup", missing.join(", "));
+    let mut command = workspace.command("rustup");
+    run::quiet(command.args(["component", "add"]).args(&missing), RUSTUP_LIMIT).context(ADVICE)
 }
 
 /// Whether cargo has the subcommand.
-fn works(workspace: &Workspace, component: Component) -> bool {
-    run::output(workspace.cargo().args([component.subcommand, "--version"])).is_ok()
+fn works(workspace: &Workspace, subcommand: &str) -> bool {
+    run::output(workspace.cargo().args([subcommand, "--version"])).is_ok()
 }

@@ -6,9 +6,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 
+use super::toolbox::Toolbox;
 use super::tools;
-use crate::run;
 use crate::workspace::Workspace;
+use crate::{progress, run};
 
 /// A toolchain of some hundred megabytes.
 const TOOLCHAIN_LIMIT: Duration = Duration::from_secs(900);
@@ -34,13 +35,14 @@ pub(crate) fn cargo(workspace: &Workspace, subcommand: &str) -> Command {
 /// The fuzzer: nightly, `cargo fuzz`, and the C++ compiler that libFuzzer is built with.
 pub(crate) fn fuzzer(workspace: &Workspace) -> Result<()> {
     toolchain(workspace)?;
-    tools::ensure(&[tools::CXX])?;
+    tools::ensure(&Toolbox::new(workspace), &[tools::CXX])?;
     if run::output(cargo(workspace, "fuzz").arg("--version")).is_ok() {
         return Ok(());
     }
-    println!("setup: installing cargo-fuzz with cargo, which takes a minute or two");
-    run::quiet(workspace.cargo().args(["install", "cargo-fuzz", "--locked"]), CARGO_FUZZ_LIMIT)
-        .context("missing: cargo-fuzz\n  everywhere: cargo install cargo-fuzz --locked")
+    progress::during("installing cargo-fuzz with cargo", Duration::from_secs(90), || {
+        run::quiet(workspace.cargo().args(["install", "cargo-fuzz", "--locked"]), CARGO_FUZZ_LIMIT)
+    })
+    .context("missing: cargo-fuzz\n  everywhere: cargo install cargo-fuzz --locked")
 }
 
 /// Miri and the library source that it interprets.
@@ -49,10 +51,10 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
     if run::output(cargo(workspace, "miri").arg("--version")).is_ok() && has_source(workspace) {
         return Ok(());
     }
-    println!("setup: adding {} to nightly with rustup", MIRI.join(", "));
     let mut command = workspace.command("rustup");
     command.args(["component", "add", "--toolchain", "nightly"]).args(MIRI);
-    run::quiet(&mut command, COMPONENTS_LIMIT).with_context(|| {
+    let what = format!("adding {} to nightly with rustup", MIRI.join(", "));
+    progress::during(&what, Duration::from_secs(15), || run::quiet(&mut command, COMPONENTS_LIMIT)).with_context(|| {
         format!(
             "missing: {} of the nightly toolchain\n  with rustup: rustup component add --toolchain nightly {}",
             MIRI.join(", "),
@@ -72,10 +74,12 @@ fn toolchain(workspace: &Workspace) -> Result<()> {
     if rustc(workspace).is_ok() {
         return Ok(());
     }
-    println!("setup: installing the nightly toolchain with rustup");
     let mut command = workspace.command("rustup");
     command.args(["toolchain", "install", "nightly", "--profile", "minimal"]);
-    run::quiet(&mut command, TOOLCHAIN_LIMIT).context(ADVICE)?;
+    progress::during("installing the nightly toolchain with rustup", Duration::from_secs(40), || {
+        run::quiet(&mut command, TOOLCHAIN_LIMIT)
+    })
+    .context(ADVICE)?;
     rustc(workspace).map(drop).context(ADVICE)
 }
 

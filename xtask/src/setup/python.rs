@@ -5,14 +5,19 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 
-use super::apt;
+use super::advice::Advice;
+use super::packages::{self, Source};
+use super::toolbox::{Toolbox, library_path};
+use crate::progress;
 use crate::run;
 use crate::workspace::Workspace;
 
 /// A few wheels of some hundred kilobytes.
 const INSTALL_LIMIT: Duration = Duration::from_secs(600);
+/// What that takes on a common line.
+const EXPECTED: Duration = Duration::from_secs(20);
 
 /// The packages with their versions.
 const REQUIREMENTS: &str = include_str!("../../requirements.txt");
@@ -20,53 +25,127 @@ const REQUIREMENTS: &str = include_str!("../../requirements.txt");
 /// The system's Python, for when the first one in `PATH` is another one that cannot make virtual environments.
 const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
+const ADVICE: Advice = Advice {
+    what: "Python 3.10 or newer with its venv module",
+    purpose: "the tests with real clients",
+    debian: "sudo apt-get install python3-venv",
+    fedora: "sudo dnf install python3",
+    arch: "sudo pacman -S python",
+    macos: "brew install python",
+};
+
+/// A Python, and what it takes to start it.
+struct Python {
+    program: PathBuf,
+    /// Its libraries, where they are not the system's.
+    root: Option<PathBuf>,
+    /// A wheel of pip, for a Python that has none to put into a new environment.
+    pip: Option<PathBuf>,
+}
+
+impl Python {
+    fn command(&self, program: &Path) -> Command {
+        let mut command = Command::new(program);
+        if let Some(root) = &self.root {
+            command.env("LD_LIBRARY_PATH", library_path(root));
+        }
+        command
+    }
+}
+
 /// Makes the environment, or makes it anew when the list of packages has changed; the answer is its Python.
-pub(crate) fn ensure(workspace: &Workspace) -> Result<PathBuf> {
+pub(crate) fn ensure(workspace: &Workspace, toolbox: &Toolbox) -> Result<PathBuf> {
     let folder = workspace.target.join("venv");
-    let python = folder.join("bin").join("python");
     // Written last, so that an installation that was interrupted is not taken for a whole one.
     let stamp = folder.join("installed-requirements.txt");
     let unchanged = fs::read_to_string(&stamp).is_ok_and(|installed| installed == REQUIREMENTS);
     // The Python that the environment was made with may be gone since.
-    if unchanged && run::output(Command::new(&python).arg("--version")).is_ok() {
-        return Ok(python);
+    let program = folder.join("jointbus-python");
+    if unchanged && works(&program) {
+        return Ok(program);
     }
-
-    let base = base_python().with_context(|| {
-        format!(
-            "missing: Python 3.10 or newer with its venv module, for {}\n  \
-             Debian and Ubuntu: apt-get install python3-venv\n  \
-             elsewhere: Python 3 with venv and ensurepip",
-            names(REQUIREMENTS).join(", ")
-        )
-    })?;
-    println!("setup: installing {} into {}", names(REQUIREMENTS).join(", "), folder.display());
-    let requirements = workspace.root.join("xtask").join("requirements.txt");
-    run::quiet(Command::new(base).args(["-m", "venv", "--clear"]).arg(&folder), INSTALL_LIMIT)?;
-    let mut pip = Command::new(&python);
-    pip.args(["-m", "pip", "install", "--disable-pip-version-check", "--requirement"]).arg(requirements);
-    run::quiet(&mut pip, INSTALL_LIMIT)?;
+    let base = base_python(toolbox).context(ADVICE)?;
+    let what = format!("installing {} into {}", names(REQUIREMENTS).join(", "), toolbox.shown(&folder));
+    progress::during(&what, EXPECTED, || make(workspace, toolbox, &base, &folder))?;
+    ensure!(works(&program), "{} has been made and does not work", program.display());
     fs::write(&stamp, REQUIREMENTS).with_context(|| format!("cannot write {}", stamp.display()))?;
-    Ok(python)
+    Ok(program)
 }
 
-/// A Python that can make virtual environments.
-fn base_python() -> Result<&'static Path> {
-    let candidates = [Path::new("python3"), Path::new(SYSTEM_PYTHON)];
-    if let Some(python) = candidates.into_iter().find(|python| can_make_environments(python)) {
-        return Ok(python);
+/// Makes the environment.
+fn make(workspace: &Workspace, toolbox: &Toolbox, base: &Python, folder: &Path) -> Result<()> {
+    let mut command = base.command(&base.program);
+    command.args(["-m", "venv", "--clear"]);
+    if base.pip.is_some() {
+        command.arg("--without-pip");
     }
-    apt::install(&["python3-venv"])?;
-    match candidates.into_iter().find(|python| can_make_environments(python)) {
-        Some(python) => Ok(python),
-        None => bail!("python3-venv is installed, but neither python3 nor {SYSTEM_PYTHON} can use it"),
+    run::quiet(command.arg(folder), INSTALL_LIMIT)?;
+    let python = folder.join("bin").join("python");
+    let mut command = base.command(&python);
+    match &base.pip {
+        Some(wheel) => command.arg(wheel.join("pip")),
+        None => command.args(["-m", "pip"]),
+    };
+    command.args(["install", "--disable-pip-version-check", "--requirement"]);
+    run::quiet(command.arg(workspace.root.join("xtask").join("requirements.txt")), INSTALL_LIMIT)?;
+    match &base.root {
+        Some(root) => {
+            let wrapped = toolbox.wrap("jointbus-python", root, &python, &[], &[])?;
+            fs::rename(wrapped, folder.join("jointbus-python")).context("cannot move a script")
+        }
+        None => link(&python, &folder.join("jointbus-python")),
     }
 }
 
-/// Debian ships Python without `ensurepip`, and then `-m venv` fails halfway.
-fn can_make_environments(python: &Path) -> bool {
-    let check = "import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))";
-    run::output(Command::new(python).args(["-c", check])).is_ok()
+/// A second name for the environment's Python, which must find the environment by the first one.
+fn link(python: &Path, name: &Path) -> Result<()> {
+    let script = format!("#!/bin/sh\nexec {} \"$@\"\n", run::quoted(&python.to_string_lossy()));
+    super::toolbox::write_script(name, &script)
+}
+
+fn works(python: &Path) -> bool {
+    run::output(Command::new(python).args(["-c", "import pymodbus, serial, can"])).is_ok()
+}
+
+/// A Python that can make virtual environments: the system's, with the help of a wheel of pip where it lacks one, or one
+/// that is unpacked beside it.
+fn base_python(toolbox: &Toolbox) -> Result<Python> {
+    let candidates: Vec<PathBuf> =
+        toolbox.find("python3").into_iter().chain([SYSTEM_PYTHON.into()]).collect();
+    let found = |modules: &str| candidates.iter().find(|python| has(python, modules)).cloned();
+    if let Some(program) = found("ensurepip, venv") {
+        return Ok(Python { program, root: None, pip: None });
+    }
+    let system = found("venv, zipimport");
+    let package = if system.is_some() { "python3-pip-whl" } else { "python3" };
+    let reason = anyhow!("no Python in PATH can make virtual environments");
+    let root = packages::unpack(toolbox, "python", Source::System, &[package, "python3-pip-whl"])
+        .with_context(|| format!("{reason}, and none can be unpacked"))?;
+    let pip = Some(wheel(&root)?);
+    Ok(match system {
+        Some(program) => Python { program, root: None, pip },
+        None => Python { program: root.join("usr/bin/python3"), root: Some(root), pip },
+    })
+}
+
+/// The wheel that Debian puts into new environments.
+fn wheel(root: &Path) -> Result<PathBuf> {
+    let folder = root.join("usr/share/python-wheels");
+    let entries = fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let wheels = entries.flatten().map(|entry| entry.path());
+    let is_pip =
+        |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("pip-"));
+    match wheels.into_iter().find(is_pip) {
+        Some(wheel) => Ok(wheel),
+        None => bail!("there is no pip in {}", folder.display()),
+    }
+}
+
+/// Whether a Python is new enough and has these modules. Debian ships it without `ensurepip`, and then `-m venv` fails
+/// halfway.
+fn has(python: &Path, modules: &str) -> bool {
+    let check = format!("import {modules}, sys; sys.exit(sys.version_info < (3, 10))");
+    run::output(Command::new(python).args(["-c", &check])).is_ok()
 }
 
 /// The names in a list of requirements.

@@ -8,9 +8,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 
-use super::apt;
+use super::advice::Advice;
+use super::packages::{self, Source};
+use super::toolbox::{Toolbox, library_path};
 use crate::run;
 use crate::workspace::Workspace;
 
@@ -25,11 +27,10 @@ const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
 
 /// Debian's Rust that is kept current for the browsers: compiler, cargo, library source, linter, linker.
 const DEBIAN_PACKAGES: [&str; 5] = ["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy", "lld"];
-const DEBIAN_CARGO: &str = "/usr/bin/cargo";
-const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 /// Debian's compiler comes without the linker that rustup's brings along for bare-metal targets.
 const DEBIAN_LINKER: &str = "ld.lld";
+/// Its programs that are used here.
+const DEBIAN_PROGRAMS: [&str; 4] = ["cargo", "rustc", "cargo-clippy", DEBIAN_LINKER];
 
 /// What `cargo run` and rustup set for us, and what would lead Debian's cargo back to the other toolchain.
 const FOREIGN: [&str; 9] = [
@@ -44,32 +45,46 @@ const FOREIGN: [&str; 9] = [
     "RUST_RECURSION_COUNT",
 ];
 
-/// The way to build for the microcontroller.
+/// Where the system's own programs begin.
+const SYSTEM: &str = "/";
+
+const ADVICE: Advice = Advice {
+    what: "a Rust toolchain for thumbv7em-none-eabihf",
+    purpose: "the image (with rustup, on any system: rustup target add thumbv7em-none-eabihf)",
+    debian: "sudo apt-get install rustc-web cargo-web rust-web-src rust-web-clippy lld",
+    fedora: "sudo dnf install rustup, then rustup-init",
+    arch: "sudo pacman -S rustup",
+    macos: "brew install rustup",
+};
+
+/// Whose toolchain it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    Rustup,
+    Debian,
+}
+
+/// The way to build for the microcontroller.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Toolchain {
     /// The toolchain that runs this program, with the target installed (by rustup, or by whatever else installs it).
     Rustup,
-    /// Debian's own compiler, which builds the core library from source.
-    Debian,
+    /// Debian's own compiler, which builds the core library from source: the system's, or one unpacked into this folder.
+    Debian(PathBuf),
 }
 
 impl Toolchain {
     /// `cargo SUBCOMMAND` for the microcontroller, still without packages and features.
-    pub(crate) fn cargo(self, workspace: &Workspace, subcommand: &str) -> Command {
+    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
         match self {
             Self::Rustup => {
                 let mut command = workspace.cargo();
                 command.args([subcommand, "--target", TARGET]);
                 command
             }
-            Self::Debian => {
-                let mut command = workspace.command(DEBIAN_CARGO);
-                for name in FOREIGN {
-                    command.env_remove(name);
-                }
-                // cargo finds the compiler through PATH, where rustup's may stand first.
+            Self::Debian(root) => {
+                let mut command = debian(workspace, root, "cargo");
                 command
-                    .env("PATH", path_with_front("/usr/bin"))
                     // Building the core library is an unstable option; the compiler and the source are one release.
                     .env("RUSTC_BOOTSTRAP", "1")
                     .env(linker_variable(TARGET), DEBIAN_LINKER)
@@ -80,44 +95,54 @@ impl Toolchain {
     }
 }
 
+/// A program of Debian's toolchain, which finds its like before any other.
+fn debian(workspace: &Workspace, root: &Path, program: &str) -> Command {
+    let programs = root.join("usr/bin");
+    let mut command = workspace.command(programs.join(program));
+    for name in FOREIGN {
+        command.env_remove(name);
+    }
+    // cargo finds the compiler through PATH, where rustup's may stand first.
+    command.env("PATH", path_with_front(&programs.to_string_lossy()));
+    if root != Path::new(SYSTEM) {
+        command.env("LD_LIBRARY_PATH", library_path(root));
+    }
+    command
+}
+
 /// A toolchain that is ready, else one that can be made so. Whatever is there already goes before any installation.
 pub(crate) fn ensure(workspace: &Workspace) -> Result<Toolchain> {
     let choice = env::var(CHOICE).ok();
     let allowed = allowed(choice.as_deref())?;
-    let ready = |toolchain: &Toolchain| match toolchain {
-        Toolchain::Rustup => rustup_ready(workspace).is_ok(),
-        Toolchain::Debian => debian_ready(workspace).is_ok(),
-    };
-    if let Some(toolchain) = allowed.iter().copied().find(ready) {
-        return Ok(toolchain);
-    }
-    let mut reasons = String::new();
-    for toolchain in allowed {
-        let installed = match toolchain {
-            Toolchain::Rustup => install_rustup(workspace),
-            Toolchain::Debian => install_debian(workspace),
+    for way in allowed {
+        let ready = match way {
+            Way::Rustup => rustup_ready(workspace).map(|()| Toolchain::Rustup),
+            Way::Debian => debian_ready(workspace, SYSTEM.into()),
         };
-        let Err(error) = installed else { return Ok(*toolchain) };
-        // In full here, with what the installer printed; its first line again in the end.
-        let reason = format!("{error:#}");
-        println!("setup: {reason}");
-        reasons.push_str("\n  tried: ");
-        reasons.push_str(reason.lines().next().unwrap_or_default());
+        if let Ok(toolchain) = ready {
+            return Ok(toolchain);
+        }
     }
-    bail!(
-        "missing: a Rust toolchain for {TARGET}\n  \
-         with rustup: rustup target add {TARGET}\n  \
-         Debian (bookworm with security updates, or newer): apt-get install {}{reasons}",
-        DEBIAN_PACKAGES.join(" "),
-    )
+    let mut reasons = Vec::new();
+    for way in allowed {
+        let installed = match way {
+            Way::Rustup => install_rustup(workspace),
+            Way::Debian => unpack_debian(workspace),
+        };
+        match installed {
+            Ok(toolchain) => return Ok(toolchain),
+            Err(error) => reasons.push(format!("{error:#}")),
+        }
+    }
+    Err(anyhow!(reasons.join("\n  and: ")).context(ADVICE))
 }
 
 /// The ways that the variable leaves open, the preferred one first.
-fn allowed(choice: Option<&str>) -> Result<&'static [Toolchain]> {
+fn allowed(choice: Option<&str>) -> Result<&'static [Way]> {
     match choice {
-        None | Some("") => Ok(&[Toolchain::Rustup, Toolchain::Debian]),
-        Some("rustup") => Ok(&[Toolchain::Rustup]),
-        Some("debian") => Ok(&[Toolchain::Debian]),
+        None | Some("") => Ok(&[Way::Rustup, Way::Debian]),
+        Some("rustup") => Ok(&[Way::Rustup]),
+        Some("debian") => Ok(&[Way::Debian]),
         Some(other) => bail!("{CHOICE} is `{other}`; it can be `rustup` or `debian`"),
     }
 }
@@ -137,47 +162,45 @@ fn rustup_ready(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-fn install_rustup(workspace: &Workspace) -> Result<()> {
+fn install_rustup(workspace: &Workspace) -> Result<Toolchain> {
     if run::find("rustup").is_none() {
         bail!("rustup is not installed");
     }
     println!("setup: adding the target {TARGET} with rustup");
     run::quiet(workspace.command("rustup").args(["target", "add", TARGET]), RUSTUP_LIMIT)
         .context("rustup cannot add the target")?;
-    rustup_ready(workspace).context("rustup added the target to another toolchain than the running one")
+    rustup_ready(workspace).context("rustup added the target to another toolchain than the running one")?;
+    Ok(Toolchain::Rustup)
 }
 
-/// Whether Debian's compiler is there, new enough, with the library's source, the linter and the linker.
-fn debian_ready(workspace: &Workspace) -> Result<()> {
-    for program in [DEBIAN_CARGO, DEBIAN_RUSTC, DEBIAN_CLIPPY] {
-        if !Path::new(program).exists() {
-            bail!("there is no {program}");
+/// Debian's compiler at this root, if it is there, new enough, with the library's source, the linter and the linker.
+fn debian_ready(workspace: &Workspace, root: PathBuf) -> Result<Toolchain> {
+    for program in DEBIAN_PROGRAMS {
+        let path = root.join("usr/bin").join(program);
+        if !path.exists() {
+            bail!("there is no {}", path.display());
         }
     }
-    if run::find(DEBIAN_LINKER).is_none() {
-        bail!("there is no {DEBIAN_LINKER}");
-    }
-    let mut command = workspace.command(DEBIAN_RUSTC);
-    command.env_remove("LD_LIBRARY_PATH");
-    let printed = run::output(command.arg("--version"))?;
+    let rustc = |argument: &[&str]| run::output(debian(workspace, &root, "rustc").args(argument));
+    let printed = rustc(&["--version"])?;
     let found = version(&printed).with_context(|| format!("`{}` is no version", printed.trim()))?;
     let wanted = version(env!("CARGO_PKG_RUST_VERSION")).context("the manifest has no version of Rust")?;
     if found < wanted {
-        bail!("{DEBIAN_RUSTC} is {}.{}, too old for {}.{}", found.0, found.1, wanted.0, wanted.1);
+        bail!("Debian's compiler is {}.{}, too old for {}.{}", found.0, found.1, wanted.0, wanted.1);
     }
-    let mut command = workspace.command(DEBIAN_RUSTC);
-    command.env_remove("LD_LIBRARY_PATH");
-    let sysroot = PathBuf::from(run::output(command.args(["--print", "sysroot"]))?.trim());
+    let sysroot = PathBuf::from(rustc(&["--print", "sysroot"])?.trim());
     let source = sysroot.join("lib/rustlib/src/rust/library/core/Cargo.toml");
     if !source.exists() {
         bail!("there is no {}", source.display());
     }
-    Ok(())
+    Ok(Toolchain::Debian(root))
 }
 
-fn install_debian(workspace: &Workspace) -> Result<()> {
-    apt::install(&DEBIAN_PACKAGES).context("Debian's toolchain cannot be installed")?;
-    debian_ready(workspace).context("Debian's toolchain is installed but not usable")
+fn unpack_debian(workspace: &Workspace) -> Result<Toolchain> {
+    let toolbox = Toolbox::new(workspace);
+    let root = packages::unpack(&toolbox, "rust", Source::System, &DEBIAN_PACKAGES)
+        .context("Debian's toolchain cannot be unpacked")?;
+    debian_ready(workspace, root).context("Debian's toolchain is unpacked but not usable")
 }
 
 /// `PATH` with a folder before all others.
@@ -223,8 +246,8 @@ mod tests {
 
     #[test]
     fn the_choice_is_one_of_two_or_open() {
-        assert_eq!(allowed(None).unwrap(), [Toolchain::Rustup, Toolchain::Debian]);
-        assert_eq!(allowed(Some("debian")).unwrap(), [Toolchain::Debian]);
+        assert_eq!(allowed(None).unwrap(), [Way::Rustup, Way::Debian]);
+        assert_eq!(allowed(Some("debian")).unwrap(), [Way::Debian]);
         assert!(allowed(Some("gcc")).is_err());
     }
 
