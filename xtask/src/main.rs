@@ -9,6 +9,7 @@ mod contributors;
 mod demo;
 mod emulate;
 mod firmware;
+mod fresh;
 mod fuzz;
 mod miri;
 mod msrv;
@@ -60,6 +61,8 @@ enum Task {
     Soak(sim::Soak),
     /// Send the same mutated requests to the general server and to libmodbus; every difference has a reason or fails
     Agreement(agreement::Extent),
+    /// Make a bare Debian system and run the README's two commands there, as an ordinary user
+    Fresh(fresh::Manner),
     /// Run every check and test; this is what CI runs
     Test(test::Selection),
 }
@@ -92,6 +95,7 @@ fn run_task(task: Task) -> anyhow::Result<()> {
         Task::Sim(what) => sim::repeat(&workspace, &what),
         Task::Soak(how) => sim::soak(&workspace, &how),
         Task::Agreement(extent) => agreement::agree(&workspace, &extent),
+        Task::Fresh(manner) => fresh::fresh(&workspace, &manner),
         Task::Test(selection) => test::test(&workspace, &selection),
     }
 }

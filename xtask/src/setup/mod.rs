@@ -4,6 +4,8 @@
 
 mod advice;
 mod components;
+#[cfg(all(test, unix))]
+mod fake;
 mod libmodbus;
 pub(crate) mod nightly;
 mod packages;
@@ -92,6 +94,21 @@ pub(crate) fn clients(workspace: &Workspace) -> Result<PathBuf> {
 /// The program that counts instructions on the host.
 pub(crate) fn valgrind(workspace: &Workspace) -> Result<()> {
     tools::ensure(&Toolbox::new(workspace), &[tools::VALGRIND])
+}
+
+/// The program that makes bare systems.
+pub(crate) fn debootstrap(workspace: &Workspace) -> Result<Command> {
+    let toolbox = Toolbox::new(workspace);
+    tools::ensure(&toolbox, &[tools::DEBOOTSTRAP])?;
+    let mut command = Command::new("env");
+    tell_programs(workspace, &mut command);
+    command.arg(tools::DEBOOTSTRAP.program);
+    Ok(command)
+}
+
+/// The mirror of Debian that this system is installed from.
+pub(crate) fn debian_mirror(workspace: &Workspace) -> Result<String> {
+    packages::debian_mirror(&Toolbox::new(workspace))
 }
 
 /// The library that the general server is compared with.

@@ -199,12 +199,18 @@ fn installed(toolbox: &Toolbox) -> Result<String> {
     Ok(status)
 }
 
-/// A list of sources with these suites, by the mirror that the system's own sources name.
-fn sources(toolbox: &Toolbox, suites: &[&str]) -> Result<String> {
+/// The mirror of Debian that the system's own sources name.
+pub(crate) fn debian_mirror(toolbox: &Toolbox) -> Result<String> {
     let mut command = toolbox.command("apt-get")?;
     command.args(["indextargets", "--format", "$(REPO_URI) $(RELEASE)", "Created-By: Packages"]);
     let answer = run::output_within(&mut command, QUERY_LIMIT)?;
     let mirror = mirror(&answer).context("the system is not installed from a mirror of Debian")?;
+    Ok(mirror.to_owned())
+}
+
+/// A list of sources with these suites, by that mirror.
+fn sources(toolbox: &Toolbox, suites: &[&str]) -> Result<String> {
+    let mirror = debian_mirror(toolbox)?;
     ensure!(Path::new(DEBIAN_KEY).exists(), "there is no {DEBIAN_KEY} to know Debian's packages by");
     Ok(suites.iter().map(|suite| format!("deb [signed-by={DEBIAN_KEY}] {mirror} {suite} main\n")).collect())
 }

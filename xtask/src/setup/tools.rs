@@ -30,6 +30,14 @@ pub(crate) struct Tool {
     advice: Advice,
 }
 
+#[cfg(test)]
+impl Tool {
+    /// A program that needs no more than to be there.
+    pub(crate) const fn example(program: &'static str, package: Option<&'static str>) -> Self {
+        Self { program, package, check: &[], unpacked: "usr/bin/a-program-that-nobody-has", ..SOCAT }
+    }
+}
+
 /// A Modbus master on the command line.
 pub(crate) const MBPOLL: Tool = Tool {
     program: "mbpoll",
@@ -79,6 +87,23 @@ pub(crate) const VALGRIND: Tool = Tool {
         fedora: "sudo dnf install valgrind",
         arch: "sudo pacman -S valgrind",
         macos: "not available for current releases; run the benchmark on Linux",
+    },
+};
+
+/// Makes bare systems.
+pub(crate) const DEBOOTSTRAP: Tool = Tool {
+    program: "debootstrap",
+    check: &["--version"],
+    package: Some("debootstrap"),
+    unpacked: "usr/sbin/debootstrap",
+    folders: &[("DEBOOTSTRAP_DIR", "usr/share/debootstrap")],
+    advice: Advice {
+        what: "debootstrap",
+        purpose: "the bare systems on which set-up is tried",
+        debian: "sudo apt-get install debootstrap",
+        fedora: "sudo dnf install debootstrap",
+        arch: "sudo pacman -S debootstrap",
+        macos: "not available; use Linux",
     },
 };
 
