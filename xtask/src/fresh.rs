@@ -80,7 +80,9 @@ pub(crate) fn fresh(workspace: &Workspace, manner: &Manner) -> Result<()> {
     progress::during("making a bare system", Duration::from_secs(60), || {
         system.make(workspace, manner.suite)
     })?;
-    progress::during("installing Rust for its user", Duration::from_secs(60), || system.install_rust())?;
+    progress::during("installing Rust for its user", Duration::from_secs(60), || {
+        system.install_rust(workspace)
+    })?;
     progress::during("cloning the repository into it", Duration::from_secs(5), || system.clone(workspace))?;
     let readme: [&[&str]; 2] = [&["demo", "--seconds", "10"], &["test"]];
     let instead: Vec<&str> = manner.instead.iter().map(String::as_str).collect();
@@ -126,11 +128,24 @@ impl System {
         self.inside(0, &format!("useradd --create-home --shell /bin/sh --uid {USER_ID} {USER}"), LIMIT)
     }
 
-    /// As rustup's own page says, with the rustup that is here in the place of the one to download.
-    fn install_rust(&self) -> Result<()> {
+    /// Rustup and the stable toolchain that is active here; any other one is for set-up to bring.
+    fn install_rust(&self, workspace: &Workspace) -> Result<()> {
         let rustup = run::find("rustup").context("rustup is not here; the bare system gets a copy of it")?;
-        fs::copy(rustup, self.home().join("rustup-init"))?;
-        self.inside(USER_ID, "./rustup-init -y --no-modify-path --profile minimal && rm rustup-init", LIMIT)
+        let sysroot = run::output(workspace.command("rustc").args(["--print", "sysroot"]))?;
+        let toolchain = Path::new(sysroot.trim());
+        let name = toolchain.file_name().context("the toolchain has no name")?;
+        let (programs, toolchains) = (self.home().join(".cargo/bin"), self.home().join(".rustup/toolchains"));
+        fs::create_dir_all(&programs)?;
+        fs::create_dir_all(&toolchains)?;
+        for proxy in
+            ["rustup", "cargo", "rustc", "rustdoc", "cargo-fmt", "rustfmt", "cargo-clippy", "cargo-miri"]
+        {
+            fs::copy(&rustup, programs.join(proxy))?;
+        }
+        let mut command = Command::new("cp");
+        run::quiet(command.arg("--archive").arg(toolchain).arg(toolchains.join(name)), LIMIT)?;
+        self.inside(0, &format!("chown --recursive {USER}: /home/{USER}"), LIMIT)?;
+        self.inside(USER_ID, &format!("rustup default {}", name.display()), LIMIT)
     }
 
     /// What is committed.
@@ -139,8 +154,7 @@ impl System {
         let mut command = Command::new("git");
         command.args(["clone", "--quiet", "--no-hardlinks"]).arg(&workspace.root).arg(&clone);
         run::quiet(&mut command, LIMIT)?;
-        let owner = format!("{USER_ID}:{USER_ID}");
-        run::quiet(Command::new("chown").args(["--recursive", &owner]).arg(self.home()), LIMIT)
+        self.inside(0, &format!("chown --recursive {USER}: /home/{USER}/jointbus"), LIMIT)
     }
 
     /// A command of the README; its last line.

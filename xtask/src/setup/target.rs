@@ -131,7 +131,10 @@ pub(crate) fn ensure(workspace: &Workspace) -> Result<Toolchain> {
         };
         match installed {
             Ok(toolchain) => return Ok(toolchain),
-            Err(error) => reasons.push(format!("{error:#}")),
+            Err(error) => {
+                println!("setup: {error:#}");
+                reasons.push(format!("{error:#}"));
+            }
         }
     }
     Err(anyhow!(reasons.join("\n  and: ")).context(ADVICE))

@@ -39,7 +39,7 @@ impl World<'_> {
         match port {
             Port::Host => {}
             Port::Rs485A => self.lines[0].devices[index].absent = until,
-            Port::Rs485B => self.lines[1].devices[0].without = Some(index).filter(|_| until > self.now),
+            Port::Rs485B => self.lines[1].devices[0].without = (until > self.now).then_some(index),
             Port::Can => self.darken(&[index], until),
         }
     }
