@@ -10,9 +10,9 @@ mod theirs;
 use std::error::Error;
 use std::process::ExitCode;
 
-use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
+use jointbus_protocol::decode::{FrameDecoder, Event, STRAY_MAX};
 use jointbus_protocol::modbus::BROADCAST;
-use jointbus_protocol::modbus::rtu::{FRAME_MAX, Requests};
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, RequestFraming};
 use jointbus_protocol::modbus::server::{self, RamTables};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -86,8 +86,8 @@ fn run() -> Result<(), Box<dyn Error>> {
 /// What we answer to bytes that are followed by silence; empty for nothing.
 fn serve(tables: &mut Tables, mut bytes: &[u8]) -> Vec<u8> {
     let silence = Duration::from_millis(2);
-    let mut deframer = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(silence);
-    let (start, end) = (Instant::from_micros(0), Instant::from_micros(0).after(silence));
+    let mut decoder = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(silence);
+    let (start, end) = (Instant::from_micros(0), Instant::from_micros(0).saturating_add(silence));
     let mut answers = Vec::new();
     let mut take = |event: Event<'_>| {
         let mut out = [0; FRAME_MAX];
@@ -95,10 +95,10 @@ fn serve(tables: &mut Tables, mut bytes: &[u8]) -> Vec<u8> {
             answers.extend_from_slice(server::rtu(tables, UNIT, frame, &mut out).unwrap_or(&[]));
         }
     };
-    while let Some(event) = deframer.feed(&Requests, &mut bytes, start) {
+    while let Some(event) = decoder.feed(&RequestFraming, &mut bytes, start) {
         take(event);
     }
-    if let Some(event) = deframer.poll(&Requests, end) {
+    if let Some(event) = decoder.poll(&RequestFraming, end) {
         take(event);
     }
     answers

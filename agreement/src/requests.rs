@@ -1,4 +1,4 @@
-//! Requests, correct and not, from a seed.
+//! RequestFraming, correct and not, from a seed.
 
 use jointbus_protocol::checksum::crc16;
 

@@ -324,9 +324,9 @@ mod tests {
     #[test]
     fn bits_are_counted_by_format_and_length() {
         assert_eq!(frame_bits(&frame(1)), 47);
-        let long = Frame::from_wire(Id::Extended(1), false, 15, [0; 8]).unwrap();
+        let long = Frame::from_parts(Id::Extended(1), false, 15, [0; 8]).unwrap();
         assert_eq!(frame_bits(&long), 67 + 64);
-        let remote = Frame::from_wire(Id::Extended(1), true, 8, [0; 8]).unwrap();
+        let remote = Frame::from_parts(Id::Extended(1), true, 8, [0; 8]).unwrap();
         assert_eq!(frame_bits(&remote), 67);
     }
 }

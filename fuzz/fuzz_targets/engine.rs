@@ -26,12 +26,12 @@ fuzz_target!(|data: &[u8]| {
         check(&engine);
     }
     settle(&mut engine, &mut now);
-    let (start, end) = (now, now.after(QUIET));
+    let (start, end) = (now, now.saturating_add(QUIET));
     let mut wakes = 0;
     while let Some(deadline) = engine.deadline().filter(|deadline| *deadline <= end) {
         wakes += 1;
         if wakes >= WAKES {
-            assert!(periods(&engine, now.since(start)) >= WAKES / 8, "it is woken for nothing");
+            assert!(periods(&engine, now.saturating_duration_since(start)) >= WAKES / 8, "it is woken for nothing");
             break;
         }
         now = now.max(deadline);
@@ -70,7 +70,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
                 0 => Id::Extended(id & 0x1FFF_FFFF),
                 _ => Id::Standard((id & 0x7FF) as u16),
             };
-            if let Ok(frame) = Frame::from_wire(id, op & 0x80 != 0, argument & 0x0F, data) {
+            if let Ok(frame) = Frame::from_parts(id, op & 0x80 != 0, argument & 0x0F, data) {
                 engine.receive_frame(&frame, *now);
             }
         }
@@ -82,9 +82,9 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             }
         }
         7 => engine.frames_aborted(*now),
-        8 => *now = now.after(Duration::from_micros(argument.into())),
+        8 => *now = now.saturating_add(Duration::from_micros(argument.into())),
         9 => {
-            *now = now.after(Duration::from_millis(argument.into()));
+            *now = now.saturating_add(Duration::from_millis(argument.into()));
             engine.poll(*now);
         }
         10 => {
@@ -130,7 +130,7 @@ fn check(engine: &Engine) {
     assert!(engine.output(Port::Can).is_empty());
     assert!(engine.digital_outputs() <= 0xFF);
     for channel in &engine.analog_outputs().channels {
-        assert!(channel.range.holds(channel.set_value));
+        assert!(channel.range.contains(channel.set_value));
     }
 }
 
@@ -146,7 +146,7 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
             }
             moved = true;
             engine.consume(port, pending.len());
-            *now = now.after(Duration::from_micros(50 * pending.len() as u64));
+            *now = now.saturating_add(Duration::from_micros(50 * pending.len() as u64));
             match port {
                 Port::Host => host.extend_from_slice(&pending),
                 _ => engine.transmitted(port, *now),
@@ -158,7 +158,7 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
             moved = true;
         }
         while engine.next_frame().is_some() {
-            *now = now.after(Duration::from_micros(130));
+            *now = now.saturating_add(Duration::from_micros(130));
             engine.frame_sent(*now);
             moved = true;
         }
@@ -173,7 +173,7 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
 fn asks(engine: &mut Engine, unit: u8, now: &mut Instant) -> bool {
     engine.receive(Port::Host, &sealed(&[unit, 4, 0, 0, 0, 1]), *now);
     let answer = settle(engine, now);
-    *now = now.after(QUIET);
+    *now = now.saturating_add(QUIET);
     engine.poll(*now);
     settle(engine, now);
     let [high, low] = MAP_VERSION.to_be_bytes();

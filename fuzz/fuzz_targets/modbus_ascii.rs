@@ -2,7 +2,7 @@
 #![no_main]
 
 use jointbus_protocol::modbus::Request;
-use jointbus_protocol::modbus::ascii::{CONTENT_MAX, Deframer, Event, FRAME_MAX, Frame, encode_request};
+use jointbus_protocol::modbus::ascii::{CONTENT_MAX, Decoder, Event, FRAME_MAX, Frame, encode_request};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -10,7 +10,7 @@ fuzz_target!(|data: &[u8]| {
     if let Ok(frame) = Frame::decode(data, &mut buffer) {
         assert_eq!(data.len(), 2 * (frame.pdu.len() + 2) + 3);
     }
-    let (mut whole, mut single) = (Deframer::new(), Deframer::new());
+    let (mut whole, mut single) = (Decoder::new(), Decoder::new());
     let in_one = feed(&mut whole, data);
     let one_by_one: Vec<_> = data.chunks(1).flat_map(|character| feed(&mut single, character)).collect();
     assert_eq!(in_one, one_by_one);
@@ -28,21 +28,21 @@ fuzz_target!(|data: &[u8]| {
     ends(&mut whole, writer.finish());
 });
 
-/// A request comes out of the deframer, whatever it was in the middle of.
-fn ends(deframer: &mut Deframer, pdu: &[u8]) {
+/// A request comes out of the decoder, whatever it was in the middle of.
+fn ends(decoder: &mut Decoder, pdu: &[u8]) {
     let mut buffer = [0; FRAME_MAX];
     let request = Request::decode(pdu).unwrap();
     let frame = encode_request(17, &request, &mut buffer).unwrap();
     let mut bytes = [0; CONTENT_MAX + 1];
     assert_eq!(Frame::decode(frame, &mut bytes), Ok(Frame { unit: 17, pdu }));
-    assert_eq!(feed(deframer, frame).last(), Some(&Some((17, pdu.to_vec()))));
-    assert!(!deframer.is_inside());
+    assert_eq!(feed(decoder, frame).last(), Some(&Some((17, pdu.to_vec()))));
+    assert!(!decoder.is_inside());
 }
 
 /// Frames, and `None` for each that was dropped.
-fn feed(deframer: &mut Deframer, mut characters: &[u8]) -> Vec<Option<(u8, Vec<u8>)>> {
+fn feed(decoder: &mut Decoder, mut characters: &[u8]) -> Vec<Option<(u8, Vec<u8>)>> {
     let mut events = Vec::new();
-    while let Some(event) = deframer.feed(&mut characters) {
+    while let Some(event) = decoder.feed(&mut characters) {
         events.push(match event {
             Event::Frame(frame) => Some((frame.unit, frame.pdu.to_vec())),
             Event::Dropped(_) => None,

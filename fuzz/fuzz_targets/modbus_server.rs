@@ -4,12 +4,12 @@
 
 use jointbus_fuzz::{Script, check_response, sealed};
 use jointbus_protocol::checksum;
-use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
+use jointbus_protocol::modbus::identification::{ConformityLevel, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Bits, BitWriter, RamTables, Registers, RegisterWriter, Server, Silence,
+    self, Bits, BitWriter, RamTables, Registers, RegisterWriter, Server, NoResponse,
 };
 use jointbus_protocol::modbus::{
-    BROADCAST, Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, ascii, rtu, tcp,
+    BROADCAST, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, AddressRange, ascii, rtu, tcp,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -26,23 +26,23 @@ impl Server for Everything {
     fn supports(&self, function: FunctionCode) -> bool {
         !matches!(function, FunctionCode::Unknown(_))
     }
-    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_coils(range, bits)
     }
-    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_discrete_inputs(range, bits)
     }
-    fn read_holding_registers(&mut self, range: Range, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_holding_registers(&mut self, range: AddressRange, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_holding_registers(range, all)
     }
-    fn read_input_registers(&mut self, range: Range, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_input_registers(&mut self, range: AddressRange, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_input_registers(range, all)
     }
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         assert_eq!(bits.len(), range.quantity);
         self.tables.write_coils(range, bits)
     }
-    fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(&mut self, range: AddressRange, registers: Registers<'_>) -> Result<(), ExceptionCode> {
         assert_eq!(registers.len(), usize::from(range.quantity));
         self.tables.write_registers(range, registers)
     }
@@ -51,9 +51,9 @@ impl Server for Everything {
     }
     fn read_write_registers(
         &mut self,
-        write: Range,
+        write: AddressRange,
         values: Registers<'_>,
-        read: Range,
+        read: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         self.tables.read_write_registers(write, values, read, registers)
@@ -61,12 +61,12 @@ impl Server for Everything {
     fn exception_status(&mut self) -> Result<u8, ExceptionCode> {
         Ok(0x5A)
     }
-    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
-        assert_ne!(what, Diagnostic::ForceListenOnly);
-        assert!(what == Diagnostic::ReturnQueryData || data.len() == 1);
+    fn diagnostics(&mut self, what: DiagnosticSubfunction, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+        assert_ne!(what, DiagnosticSubfunction::ForceListenOnly);
+        assert!(what == DiagnosticSubfunction::ReturnQueryData || data.len() == 1);
         match what {
-            Diagnostic::Unknown(_) => Err(ExceptionCode::IllegalFunction),
-            Diagnostic::BusMessageCount => Ok(Some(77)),
+            DiagnosticSubfunction::Unknown(_) => Err(ExceptionCode::IllegalFunction),
+            DiagnosticSubfunction::BusMessageCount => Ok(Some(77)),
             _ => Ok(None),
         }
     }
@@ -76,8 +76,8 @@ impl Server for Everything {
     fn server_id(&mut self) -> Result<&[u8], ExceptionCode> {
         Ok(&self.text)
     }
-    fn conformity(&self) -> Conformity {
-        Conformity::ExtendedIndividual
+    fn conformity(&self) -> ConformityLevel {
+        ConformityLevel::ExtendedIndividual
     }
     fn identification(&self, object: ObjectId) -> Option<&[u8]> {
         match object.code() {
@@ -107,7 +107,7 @@ fuzz_target!(|data: &[u8]| {
             };
             match outcome {
                 Ok(reply) => drop((way & 0x20 == 0).then(|| check_response(UNIT, pdu, reply))),
-                Err(Silence::Broadcast(None)) => assert_eq!(to, BROADCAST),
+                Err(NoResponse::Broadcast(None)) => assert_eq!(to, BROADCAST),
                 Err(_) => assert_eq!(server, before, "silence, and yet a change"),
             }
             continue;
@@ -148,7 +148,7 @@ fn all_framings(server: &mut Everything, before: &Everything, pdu: &[u8]) {
             }
         }
         Err(silence) => {
-            assert_eq!(silence, Silence::NoRequest);
+            assert_eq!(silence, NoResponse::NoRequest);
             assert_eq!(server, before);
         }
     }

@@ -2,8 +2,8 @@
 //! the next connection.
 #![no_main]
 
-use jointbus_protocol::modbus::tcp::{Deframer, FRAME_MAX, Frame, HEADER_LENGTH, Header, encode_request};
-use jointbus_protocol::modbus::{PDU_MAX, Range, Request};
+use jointbus_protocol::modbus::tcp::{Decoder, FRAME_MAX, Frame, HEADER_LENGTH, Header, encode_request};
+use jointbus_protocol::modbus::{PDU_MAX, AddressRange, Request};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -13,7 +13,7 @@ fuzz_target!(|data: &[u8]| {
         assert_eq!(decoded.to_bytes(), *header);
         assert!((1..=PDU_MAX).contains(&decoded.pdu_length()));
     }
-    let (mut whole, mut single) = (Deframer::new(), Deframer::new());
+    let (mut whole, mut single) = (Decoder::new(), Decoder::new());
     let (frames, fault) = feed(&mut whole, data);
     let mut one_by_one = Vec::new();
     for byte in data.chunks(1) {
@@ -23,7 +23,7 @@ fuzz_target!(|data: &[u8]| {
     let length: usize = frames.iter().map(Vec::len).sum();
     assert_eq!(frames.concat(), data[..length], "every byte once, in order");
     let mut buffer = [0; FRAME_MAX];
-    let request = Request::ReadCoils(Range::new(1, 2));
+    let request = Request::ReadCoils(AddressRange::new(1, 2));
     let frame = encode_request(0x1234, 3, &request, &mut buffer).unwrap();
     if fault {
         assert_eq!(feed(&mut whole, frame), (vec![], true), "out of step for good");
@@ -35,10 +35,10 @@ fuzz_target!(|data: &[u8]| {
 });
 
 /// The frames, and whether the connection is to be closed.
-fn feed(deframer: &mut Deframer, mut bytes: &[u8]) -> (Vec<Vec<u8>>, bool) {
+fn feed(decoder: &mut Decoder, mut bytes: &[u8]) -> (Vec<Vec<u8>>, bool) {
     let mut frames = Vec::new();
     loop {
-        match deframer.feed(&mut bytes) {
+        match decoder.feed(&mut bytes) {
             Ok(Some(Frame { transaction, unit, pdu })) => {
                 let header = Header::of(transaction, unit, pdu.len()).unwrap();
                 frames.push([&header.to_bytes()[..], pdu].concat());

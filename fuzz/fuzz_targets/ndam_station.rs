@@ -3,7 +3,7 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, check_response, sealed};
-use jointbus_protocol::modbus::server::Silence;
+use jointbus_protocol::modbus::server::NoResponse;
 use jointbus_protocol::modbus::{BROADCAST, ascii};
 use jointbus_protocol::ndam9010::{ChannelError, Layout, RamModule, Station};
 use libfuzzer_sys::fuzz_target;
@@ -44,7 +44,7 @@ fuzz_target!(|data: &[u8]| {
                     assert_eq!(before, outputs(&mut station));
                 }
             }
-            Err(Silence::Broadcast(_)) => assert_eq!(content[0], BROADCAST),
+            Err(NoResponse::Broadcast(_)) => assert_eq!(content[0], BROADCAST),
             Err(_) => assert_eq!(before, outputs(&mut station)),
         }
         for module in station.modules() {
@@ -65,7 +65,7 @@ fn outputs(station: &mut Station<RamModule, 3>) -> [(u16, [u16; 16]); 3] {
 }
 
 /// The answer to a frame of Modbus ASCII, in the form of RTU.
-fn serve_ascii(station: &mut Station<RamModule, 3>, unit: u8, pdu: &[u8]) -> Result<Vec<u8>, Silence> {
+fn serve_ascii(station: &mut Station<RamModule, 3>, unit: u8, pdu: &[u8]) -> Result<Vec<u8>, NoResponse> {
     let (mut out, mut bytes) = ([0; ascii::FRAME_MAX], [0; 300]);
     let answer = station.serve_ascii(&ascii::Frame { unit, pdu }, &mut out)?;
     let answer = ascii::Frame::decode(answer, &mut bytes).unwrap();

@@ -1,9 +1,9 @@
 //! NST bodies and frames: what decodes encodes to the same bytes, and its length is told by its first ones.
 #![no_main]
 
-use jointbus_protocol::deframe::{Expectation, FrameLength};
+use jointbus_protocol::decode::{Match, FrameLength};
 use jointbus_protocol::nst::can;
-use jointbus_protocol::nst::{Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding, serial, stream};
+use jointbus_protocol::nst::{Response, Request, SAMPLE_LENGTH, Sample, SignEncoding, serial, stream};
 use jointbus_protocol::wire::Writer;
 use libfuzzer_sys::fuzz_target;
 
@@ -17,21 +17,21 @@ fuzz_target!(|data: &[u8]| {
         let frame = serial::encode_request(7, &request, &mut buffer).unwrap();
         assert_eq!(serial::request_length(frame), FrameLength::Exactly(frame.len()));
         assert_eq!(serial::Frame::decode(frame).map(|frame| (frame.address, frame.body)), Some((7, data)));
-        let [longest] = serial::ExpectedReply::new(7, &request).lengths();
+        let [longest] = serial::ExpectedResponse::new(7, &request).lengths();
         // a read may ask for more than any reply holds
-        assert!(longest <= serial::REPLY_MAX + 5);
+        assert!(longest <= serial::RESPONSE_MAX + 5);
 
         let frame = stream::encode_request(7, &request, &mut buffer).unwrap();
         assert_eq!(stream::split(frame), Some((7, data)));
         assert_eq!(stream::request_length(frame), FrameLength::Exactly(frame.len()));
         parts(&request);
     }
-    if let Ok(reply) = Reply::decode(data) {
+    if let Ok(reply) = Response::decode(data) {
         let mut writer = Writer::new(&mut buffer);
         reply.encode(&mut writer).unwrap();
         assert_eq!(writer.finish(), data);
         let frame = serial::encode_reply(7, &reply, &mut buffer).unwrap();
-        assert!(frame.len() <= serial::REPLY_MAX);
+        assert!(frame.len() <= serial::RESPONSE_MAX);
         assert_eq!(serial::Frame::decode(frame).map(|frame| frame.body), Some(data));
     }
     if let Some(raw) = data.first_chunk::<SAMPLE_LENGTH>() {
@@ -47,7 +47,7 @@ fuzz_target!(|data: &[u8]| {
 /// A request over CAN in parts asks for every byte once, in order.
 fn parts(request: &Request<'_>) {
     let mut moved = 0;
-    while let Some(part) = can::part(request, moved) {
+    while let Some(part) = can::next_fragment(request, moved) {
         assert_eq!(part.function(), request.function());
         assert_eq!(part.register(), request.register().wrapping_add(moved.into()));
         let most = if part.function().is_read() { can::READ_MAX } else { can::WRITE_MAX };

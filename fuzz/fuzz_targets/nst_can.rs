@@ -5,7 +5,7 @@
 use jointbus_fuzz::Script;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{
-    BROADCAST, Identifier, Irregularity, Outcome, Reassembler, Report, TRANSFER_MAX, segment,
+    BROADCAST, Identifier, ReassemblyError, Outcome, Reassembler, PushResult, TRANSFER_MAX, segment,
 };
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;
@@ -18,7 +18,7 @@ fuzz_target!(|data: &[u8]| {
     let mut reassembler = Reassembler::<2>::new(NODE, LIMIT);
     let mut now = Instant::from_micros(0);
     while !script.is_empty() {
-        now = now.after(Duration::from_micros(u64::from(script.byte()) * 100));
+        now = now.saturating_add(Duration::from_micros(u64::from(script.byte()) * 100));
         let head = script.byte();
         let raw = match head & 0x30 {
             // few nodes, so that their transfers meet
@@ -29,12 +29,12 @@ fuzz_target!(|data: &[u8]| {
         let id = if head & 0x40 == 0 { Id::Extended(raw) } else { Id::Standard(raw as u16 & 0x7FF) };
         let dlc = script.byte() & 0x0F;
         let payload = script.array();
-        let frame = Frame::from_wire(id, head & 0x80 != 0, dlc, payload).unwrap();
+        let frame = Frame::from_parts(id, head & 0x80 != 0, dlc, payload).unwrap();
         let identifier = Identifier::from_raw(raw);
         if let Some(identifier) = identifier {
             assert_eq!(Identifier::to_raw(identifier), raw);
         }
-        let Report { outcome, irregularity } = reassembler.push(&frame, now);
+        let PushResult { outcome, error } = reassembler.push(&frame, now);
         match outcome {
             Some(Outcome::Complete { source, destination, body }) => {
                 let identifier = identifier.unwrap();
@@ -45,13 +45,13 @@ fuzz_target!(|data: &[u8]| {
                 assert_eq!(body.len().div_ceil(8), usize::from(identifier.counter) + 1, "nothing in part");
             }
             Some(Outcome::More) => assert_eq!(frame.data().len(), 8),
-            None => assert!(irregularity.is_some(), "what brings nothing says why"),
+            None => assert!(error.is_some(), "what brings nothing says why"),
         }
         if outcome.is_some() {
-            assert!(matches!(irregularity, None | Some(Irregularity::Restarted)));
+            assert!(matches!(error, None | Some(ReassemblyError::Restarted)));
         }
     }
-    now = now.after(LIMIT).after(Duration::from_micros(1));
+    now = now.saturating_add(LIMIT).saturating_add(Duration::from_micros(1));
     let body: Vec<u8> = data.iter().copied().chain([1]).take(TRANSFER_MAX).collect();
     let mut delivered = None;
     for frame in segment(9, NODE, &body).unwrap() {

@@ -7,7 +7,7 @@ use jointbus_protocol::can::Id;
 use jointbus_protocol::nst::can::{self, Identifier};
 use jointbus_protocol::nst::register::{self, Access};
 use jointbus_protocol::nst::{
-    ADDRESS_MAX, ADDRESS_MIN, BROADCAST, Daq, RamHardware, Request, Sample, SignEncoding, Silence, serial,
+    ADDRESS_MAX, ADDRESS_MIN, BROADCAST, Daq, RamHardware, Request, Sample, SignEncoding, NoResponse, serial,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -39,10 +39,10 @@ fuzz_target!(|data: &[u8]| {
                 assert_ne!(address, Some(BROADCAST));
                 let body = if way & 0x07 == 0 { &content[..content.len() - 2] } else { content };
                 let request = Request::decode(&body[1..]).unwrap();
-                let expected = serial::ExpectedReply::new(body[0], &request);
+                let expected = serial::ExpectedResponse::new(body[0], &request);
                 assert!(expected.accepts(&reply), "{request:x?} {reply:x?}");
             }
-            Err(Silence::Broadcast(None)) => assert_eq!(address, Some(BROADCAST)),
+            Err(NoResponse::Broadcast(None)) => assert_eq!(address, Some(BROADCAST)),
             Err(_) => assert_eq!(before, after, "silence, and yet a change"),
         }
         for row in register::TABLE.iter().filter(|row| row.access == Access::Read) {
@@ -60,11 +60,11 @@ fuzz_target!(|data: &[u8]| {
     let mut frame = [0; 16];
     let frame = serial::encode_request(address, &request, &mut frame).unwrap();
     let reply = daq.serve_serial(frame, &mut out).unwrap();
-    assert!(serial::ExpectedReply::new(address, &request).accepts(reply));
+    assert!(serial::ExpectedResponse::new(address, &request).accepts(reply));
 });
 
 /// The reply to a transfer, joined and in the form of the serial line.
-fn serve_can(daq: &mut Daq<RamHardware>, way: u8, content: &[u8]) -> Result<Vec<u8>, Silence> {
+fn serve_can(daq: &mut Daq<RamHardware>, way: u8, content: &[u8]) -> Result<Vec<u8>, NoResponse> {
     let (source, mut buffer) = (way >> 3, [0xEE; can::TRANSFER_MAX]);
     let destination = content.first().copied().unwrap_or(0);
     let frames = daq.serve_can(source, destination, content.get(1..).unwrap_or(&[]), &mut buffer)?;

@@ -3,14 +3,14 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, check_response, sealed};
-use jointbus_protocol::modbus::server::Silence;
+use jointbus_protocol::modbus::server::NoResponse;
 use jointbus_protocol::nxi6201::{BROADCAST, CHANNELS, Card, DEFAULT_ID, RamHardware, Settings};
 use libfuzzer_sys::fuzz_target;
 
 fn check(settings: &Settings) {
     for channel in &settings.channels {
-        assert!(channel.range.holds(channel.set_value));
-        assert!(channel.start_range.holds(channel.start_value));
+        assert!(channel.range.contains(channel.set_value));
+        assert!(channel.start_range.contains(channel.start_value));
     }
     assert!((5_000..=1_000_000).contains(&settings.can_bit_rate) && (1..=127).contains(&settings.can_id));
 }
@@ -49,7 +49,7 @@ fuzz_target!(|data: &[u8]| {
                             assert_eq!(*card.settings(), before);
                         }
                     }
-                    Err(Silence::Broadcast(None)) => assert_eq!(content[0], BROADCAST),
+                    Err(NoResponse::Broadcast(None)) => assert_eq!(content[0], BROADCAST),
                     Err(_) => assert_eq!(*card.settings(), before),
                 }
             }

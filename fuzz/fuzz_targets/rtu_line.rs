@@ -2,11 +2,11 @@
 #![no_main]
 
 use jointbus_fuzz::{Script, sealed, survives};
-use jointbus_protocol::deframe::STRAY_MAX;
-use jointbus_protocol::modbus::rtu::{FRAME_MAX, Requests};
+use jointbus_protocol::decode::STRAY_MAX;
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, RequestFraming};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
     let request = sealed(&[1, 0x10, 0, 0, 0, 1, 2, 0xAB, 0xCD]);
-    survives::<{ FRAME_MAX + STRAY_MAX }>(&Requests, Script(data), &request);
+    survives::<{ FRAME_MAX + STRAY_MAX }>(&RequestFraming, Script(data), &request);
 });

@@ -3,7 +3,7 @@
 #![no_main]
 
 use jointbus_fuzz::{SILENCE, Script, sealed};
-use jointbus_protocol::modbus::line::{Heard, SharedLine};
+use jointbus_protocol::modbus::line::{Event, MultidropDecoder};
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;
 
@@ -12,7 +12,7 @@ const UNIT: u8 = 5;
 
 fuzz_target!(|data: &[u8]| {
     let mut script = Script(data);
-    let mut line = SharedLine::new(UNIT..=7, SILENCE);
+    let mut line = MultidropDecoder::new(UNIT..=7, SILENCE);
     let mut now = Instant::from_micros(0);
     let turns = script.byte() & 0x0F;
     for _ in 0..turns {
@@ -26,23 +26,23 @@ fuzz_target!(|data: &[u8]| {
         let (request, response) = exchange(way >> 1 & 7, other, first, quantity, &payload);
         for frame in [Some(request), response.filter(|_| way & 0x80 == 0)].into_iter().flatten() {
             hears_nothing(&mut line, &sealed(&frame), now);
-            now = now.after(SILENCE);
-            assert!(!matches!(line.poll(now), Some(Heard::Request(_))), "{frame:x?}");
+            now = now.saturating_add(SILENCE);
+            assert!(!matches!(line.poll(now), Some(Event::Request(_))), "{frame:x?}");
         }
     }
     while !script.is_empty() {
         let (pause, mut piece) = script.piece([0, 1000, 19_999, 20_000].map(Duration::from_micros));
-        now = now.after(pause);
+        now = now.saturating_add(pause);
         while let Some(heard) = line.feed(&mut piece, now) {
             check(&heard);
         }
     }
-    now = now.after(SILENCE);
+    now = now.saturating_add(SILENCE);
     if let Some(heard) = line.poll(now) {
         check(&heard);
     }
     let request = sealed(&[6, 6, 0, 1, 0xAB, 0xCD]);
-    assert_eq!(line.feed(&mut &request[..], now), Some(Heard::Request(&request)));
+    assert_eq!(line.feed(&mut &request[..], now), Some(Event::Request(&request)));
 });
 
 /// What a master asks of another unit, and what that answers. A `payload` is cut or filled to what fits.
@@ -80,16 +80,16 @@ fn exchange(kind: u8, unit: u8, first: u8, quantity: u8, payload: &[u8]) -> (Vec
     }
 }
 
-fn hears_nothing(line: &mut SharedLine, mut bytes: &[u8], now: Instant) {
+fn hears_nothing(line: &mut MultidropDecoder, mut bytes: &[u8], now: Instant) {
     let frame = bytes;
     while let Some(heard) = line.feed(&mut bytes, now) {
-        assert!(!matches!(heard, Heard::Request(_)), "{heard:x?} in {frame:x?}");
+        assert!(!matches!(heard, Event::Request(_)), "{heard:x?} in {frame:x?}");
     }
 }
 
-fn check(heard: &Heard<'_>) {
+fn check(heard: &Event<'_>) {
     match heard {
-        Heard::Request(frame) | Heard::Passed(frame) => assert!((4..=256).contains(&frame.len())),
-        Heard::Dropped { burst, .. } => assert!(burst.len() <= 256),
+        Event::Request(frame) | Event::Foreign(frame) => assert!((4..=256).contains(&frame.len())),
+        Event::Dropped { burst, .. } => assert!(burst.len() <= 256),
     }
 }

@@ -28,8 +28,8 @@ fuzz_target!(|data: &[u8]| {
         && let Some(settings) = nxi6201::Settings::decode(&card)
     {
         for channel in settings.channels {
-            assert!(channel.range.holds(channel.set_value) && !channel.output);
-            assert!(channel.start_range.holds(channel.start_value));
+            assert!(channel.range.contains(channel.set_value) && !channel.output);
+            assert!(channel.start_range.contains(channel.start_value));
         }
         assert_eq!(nxi6201::Settings::decode(&settings.encode()), Some(settings));
     }

@@ -5,7 +5,7 @@
 //! or drops change little of what follows.
 
 use jointbus_protocol::checksum;
-use jointbus_protocol::deframe::{BurstDeframer, Event, Format};
+use jointbus_protocol::decode::{FrameDecoder, Event, Framing};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::modbus::{FunctionCode, Request};
 use jointbus_protocol::time::{Duration, Instant};
@@ -66,7 +66,7 @@ pub fn sealed(content: &[u8]) -> Vec<u8> {
     let mut frame = vec![0; content.len() + checksum::CRC_LENGTH];
     let mut writer = Writer::new(&mut frame);
     writer.slice(content).unwrap();
-    checksum::seal(&mut writer).unwrap();
+    checksum::append_crc(&mut writer).unwrap();
     frame
 }
 
@@ -88,7 +88,7 @@ pub fn check_response(unit: u8, pdu: &[u8], frame: &[u8]) -> bool {
 /// The silence that ends a burst on the lines of [`survives`].
 pub const SILENCE: Duration = Duration::from_millis(20);
 
-/// What came out of a deframer, to be kept.
+/// What came out of a decoder, to be kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// A frame.
@@ -109,15 +109,15 @@ impl From<Event<'_>> for Outcome {
 /// Feeds the script to the slave's side of a line, then silence, then `request`, which must come out at once.
 ///
 /// On the way: what comes out is no longer than a frame, valid, and the same whether bytes come alone or in pieces.
-pub fn survives<const N: usize>(format: &impl Format, mut script: Script<'_>, request: &[u8]) {
+pub fn survives<const N: usize>(format: &impl Framing, mut script: Script<'_>, request: &[u8]) {
     const PAUSES: [Duration; 4] =
         [Duration::ZERO, Duration::from_millis(1), Duration::from_micros(19_999), SILENCE];
-    let mut whole = BurstDeframer::<N>::new(SILENCE);
-    let mut single = BurstDeframer::<N>::new(SILENCE);
+    let mut whole = FrameDecoder::<N>::new(SILENCE);
+    let mut single = FrameDecoder::<N>::new(SILENCE);
     let mut now = Instant::from_micros(0);
     while !script.is_empty() {
         let (pause, piece) = script.piece(PAUSES);
-        now = now.after(pause);
+        now = now.saturating_add(pause);
         let in_one = take(&mut whole, format, piece, now);
         let one_by_one: Vec<_> =
             piece.chunks(1).flat_map(|byte| take(&mut single, format, byte, now)).collect();
@@ -129,22 +129,22 @@ pub fn survives<const N: usize>(format: &impl Format, mut script: Script<'_>, re
             }
         }
         assert_eq!(whole.deadline(), single.deadline());
-        assert!(piece.is_empty() || whole.deadline().is_none_or(|end| end == now.after(SILENCE)));
+        assert!(piece.is_empty() || whole.deadline().is_none_or(|end| end == now.saturating_add(SILENCE)));
     }
-    now = now.after(SILENCE);
+    now = now.saturating_add(SILENCE);
     whole.poll(format, now);
     assert_eq!(whole.deadline(), None);
     assert_eq!(take(&mut whole, format, request, now), [Outcome::Frame(request.to_vec())]);
 }
 
 fn take<const N: usize>(
-    deframer: &mut BurstDeframer<N>,
-    format: &impl Format,
+    decoder: &mut FrameDecoder<N>,
+    format: &impl Framing,
     mut bytes: &[u8],
     now: Instant,
 ) -> Vec<Outcome> {
     let mut outcomes = Vec::new();
-    while let Some(event) = deframer.feed(format, &mut bytes, now) {
+    while let Some(event) = decoder.feed(format, &mut bytes, now) {
         outcomes.push(event.into());
     }
     assert!(bytes.is_empty());

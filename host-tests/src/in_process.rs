@@ -221,7 +221,8 @@ impl Driver {
     /// Time until the engine has something to do by itself.
     fn pause(&self) -> Duration {
         let deadline = self.engine.deadline();
-        let due = deadline.map(|at| Duration::from_micros(at.since(self.clock.now()).as_micros()));
+        let due = deadline
+            .map(|at| Duration::from_micros(at.saturating_duration_since(self.clock.now()).as_micros()));
         due.map_or(TICK, |due| due.min(TICK))
     }
 

@@ -91,9 +91,9 @@ fn a_late_reply_is_not_taken_for_the_next_one() {
     let mut client = nst_client(&[1, 2]);
     client.stream().line.sensor(1).unwrap().set_plugged(false);
     assert!(client.nst(1).sample().is_err());
-    let mut late = [0; serial::REPLY_MAX];
+    let mut late = [0; serial::RESPONSE_MAX];
     let data = [0x55; SAMPLE_LENGTH];
-    let reply = nst::Reply::Data { function: nst::FunctionCode::Read, data: &data };
+    let reply = nst::Response::Data { function: nst::FunctionCode::Read, data: &data };
     let late = serial::encode_reply(1, &reply, &mut late).unwrap().to_vec();
     client.stream().disturb(&late);
     client.stream().line.sensor(1).unwrap().set_plugged(true);
@@ -107,7 +107,7 @@ fn silence_ends_a_cut_request() {
     let request = [0x01, 0x03, 0x02, 0x00, 0x12, 0x38, 0x49];
     assert!(line.receive(&request[..5], Instant::default()).is_empty());
     let end = line.deadline().unwrap();
-    assert_eq!(end, Instant::default().after(PROMPT));
+    assert_eq!(end, Instant::default().saturating_add(PROMPT));
     assert!(line.poll(end).is_empty());
     assert_eq!(line.deadline(), None);
     assert_eq!(line.receive(&request, end).len(), 5 + SAMPLE_LENGTH);

@@ -10,7 +10,7 @@ const PLACES: [(&str, &str); 8] = [
     ("clients", "host-tests/tests/real_clients.rs"),
     ("sim", "host-tests/tests/sim.rs"),
     ("unit", "mcu-bridge/src"),
-    ("deframe", "protocol/src/deframe.rs"),
+    ("decode", "protocol/src/decode.rs"),
     ("nst", "protocol/src/nst"),
 ];
 

@@ -43,7 +43,7 @@ impl Frame {
         let length = u8::try_from(data.len()).map_err(|_| FrameError::Length)?;
         let mut bytes = [0; 8];
         bytes.get_mut(..data.len()).ok_or(FrameError::Length)?.copy_from_slice(data);
-        Self::from_wire(id, false, length, bytes)
+        Self::from_parts(id, false, length, bytes)
     }
 
     /// A data frame whose identifier and length are known to fit; bytes past the length are 0.
@@ -55,7 +55,7 @@ impl Frame {
     ///
     /// # Errors
     /// [`FrameError`] where the identifier has too many bits or `dlc` is above 15.
-    pub fn from_wire(id: Id, remote: bool, dlc: u8, mut data: [u8; 8]) -> Result<Self, FrameError> {
+    pub fn from_parts(id: Id, remote: bool, dlc: u8, mut data: [u8; 8]) -> Result<Self, FrameError> {
         let fits = match id {
             Id::Standard(id) => id < 1 << 11,
             Id::Extended(id) => id < 1 << 29,

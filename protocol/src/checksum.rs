@@ -9,7 +9,7 @@ static BYTES: [u16; 256] = {
     table
 };
 
-/// Bytes that [`seal`] appends.
+/// Bytes that [`append_crc`] appends.
 pub const CRC_LENGTH: usize = 2;
 
 /// CRC-16/MODBUS of `bytes`: polynomial 0x8005 reflected, start 0xFFFF. A table of 512 bytes, one look a byte.
@@ -118,7 +118,7 @@ pub fn crc16_bitwise(bytes: &[u8]) -> u16 {
 ///
 /// The NST manual (4.2.3) names the high byte first; every frame that it prints has the low byte first.
 #[must_use]
-pub fn verify(frame: &[u8]) -> Option<&[u8]> {
+pub fn strip_crc(frame: &[u8]) -> Option<&[u8]> {
     let (content, crc) = frame.split_last_chunk::<CRC_LENGTH>()?;
     (crc16(content) == u16::from_le_bytes(*crc)).then_some(content)
 }
@@ -127,7 +127,7 @@ pub fn verify(frame: &[u8]) -> Option<&[u8]> {
 ///
 /// # Errors
 /// [`NoSpace`] where the buffer has no room for it.
-pub fn seal(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
+pub fn append_crc(writer: &mut Writer<'_>) -> Result<(), NoSpace> {
     let crc = crc16(writer.written());
     writer.slice(&crc.to_le_bytes())
 }
@@ -148,7 +148,7 @@ pub(crate) fn frame(
     let mut writer = Writer::new(buffer);
     writer.u8(address)?;
     content(&mut writer)?;
-    seal(&mut writer)?;
+    append_crc(&mut writer)?;
     Ok(writer.finish())
 }
 
@@ -191,12 +191,12 @@ mod tests {
         let mut writer = Writer::new(&mut buffer);
         // NST manual, 4.3.1.10
         writer.slice(&[0x01, 0x03, 0x02, 0x00, 0x12]).unwrap();
-        seal(&mut writer).unwrap();
+        append_crc(&mut writer).unwrap();
         let frame = writer.finish();
         assert_eq!(frame, [0x01, 0x03, 0x02, 0x00, 0x12, 0x38, 0x49]);
-        assert_eq!(verify(frame), Some(&frame[..5]));
+        assert_eq!(strip_crc(frame), Some(&frame[..5]));
         for cut in 0..frame.len() {
-            assert_eq!(verify(&frame[..cut]), None);
+            assert_eq!(strip_crc(&frame[..cut]), None);
         }
     }
 }

@@ -228,7 +228,7 @@ impl Digits<'_> {
         if self.0.len() == TIMESTAMP_DIGITS {
             self.number(TIMESTAMP_DIGITS)?;
         }
-        Frame::from_wire(id, format.remote, dlc, data).map_err(|_| DecodeError::Range)
+        Frame::from_parts(id, format.remote, dlc, data).map_err(|_| DecodeError::Range)
     }
 
     fn end(&self) -> Result<(), DecodeError> {
@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn frames_of_all_four_kinds_go_both_ways() {
-        let remote = |id, dlc| Frame::from_wire(id, true, dlc, [0; 8]).unwrap();
+        let remote = |id, dlc| Frame::from_parts(id, true, dlc, [0; 8]).unwrap();
         let long = [1, 2, 3, 4, 5, 6, 7, 0xff];
         let lines: [(&[u8], Frame); 6] = [
             (b"t1230\r", frame(Id::Standard(0x123), &[])),
@@ -381,7 +381,7 @@ mod tests {
 
     #[test]
     fn length_codes_above_eight_carry_eight_bytes() {
-        let frame = Frame::from_wire(Id::Standard(0x123), false, 15, [1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+        let frame = Frame::from_parts(Id::Standard(0x123), false, 15, [1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
         assert_eq!(Command::decode(b"t123F0102030405060708"), Ok(Command::Frame(frame)));
         assert_eq!(Command::Frame(frame).encode(&mut [0; ENCODED_MAX]), b"t123F0102030405060708\r");
         assert_eq!(Command::decode(b"t123901020304050607"), Err(DecodeError::Length));
@@ -480,7 +480,7 @@ mod tests {
             extended: bool, remote: bool, id: u32, dlc in 0_u8..16, data: [u8; 8],
         ) {
             let id = if extended { Id::Extended(id >> 3) } else { Id::Standard((id >> 21) as u16) };
-            let frame = Frame::from_wire(id, remote, dlc, data).unwrap();
+            let frame = Frame::from_parts(id, remote, dlc, data).unwrap();
             let mut buffer = [0; ENCODED_MAX];
             let line = Command::Frame(frame).encode(&mut buffer);
             prop_assert!(line.len() <= ENCODED_MAX);

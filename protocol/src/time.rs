@@ -11,29 +11,32 @@ pub struct Instant(u64);
 pub struct Duration(u64);
 
 impl Instant {
-    /// A moment so many microseconds after the start.
+    /// The end of time, which a deadline that never comes is at.
+    pub const MAX: Self = Self(u64::MAX);
+
+    /// Create the moment that is `micros` microseconds after the start.
     #[must_use]
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// Microseconds since the start.
+    /// Return the microseconds since the start.
     #[must_use]
     pub const fn as_micros(self) -> u64 {
         self.0
     }
 
-    /// This moment and `span` more, at most the end of time.
+    /// Add `span`, at most up to [`Instant::MAX`].
     #[must_use]
-    #[inline(never)] // in 64 bits it is no short one on a part of 32, and it is asked in many places
-    pub const fn after(self, span: Duration) -> Self {
+    #[inline(never)] // a saturating addition of 64 bits is long on a 32-bit core, and there are many
+    pub const fn saturating_add(self, span: Duration) -> Self {
         Self(self.0.saturating_add(span.0))
     }
 
-    /// The span since `earlier`; none where that is later.
+    /// Return the time since `earlier`, or zero where that is later.
     #[must_use]
-    #[inline(never)] // likewise
-    pub const fn since(self, earlier: Self) -> Duration {
+    #[inline(never)] // as above
+    pub const fn saturating_duration_since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
     }
 }
@@ -42,33 +45,33 @@ impl Duration {
     /// No time at all.
     pub const ZERO: Self = Self(0);
 
-    /// A span of so many microseconds.
+    /// Create a span of `micros` microseconds.
     #[must_use]
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// A span of so many milliseconds.
+    /// Create a span of `millis` milliseconds.
     #[must_use]
     pub const fn from_millis(millis: u64) -> Self {
         Self(millis.saturating_mul(1000))
     }
 
-    /// Microseconds.
+    /// Return the span in microseconds.
     #[must_use]
     pub const fn as_micros(self) -> u64 {
         self.0
     }
 
-    /// Both spans together.
+    /// Add two spans, at most up to the longest one.
     #[must_use]
-    pub const fn plus(self, more: Self) -> Self {
+    pub const fn saturating_add(self, more: Self) -> Self {
         Self(self.0.saturating_add(more.0))
     }
 
-    /// This span so many times.
+    /// Multiply the span, at most up to the longest one.
     #[must_use]
-    pub const fn times(self, factor: u64) -> Self {
+    pub const fn saturating_mul(self, factor: u64) -> Self {
         Self(self.0.saturating_mul(factor))
     }
 }

@@ -2,11 +2,11 @@
 
 use jointbus_protocol::can::{Frame as CanFrame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::deframe::{BurstDeframer, Event, Fault, ReplySearch, STRAY_MAX};
+use jointbus_protocol::decode::{DecodeError, Event, FrameDecoder, ResponseMatcher, STRAY_MAX};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse, FRAME_MAX, FrameError};
-use jointbus_protocol::modbus::server::{self, RamTables, Silence};
+use jointbus_protocol::modbus::server::{self, NoResponse, RamTables};
 use jointbus_protocol::modbus::{
-    FunctionCode, Range, Request, RequestError, Response, ResponseError, ascii, tcp,
+    AddressRange, FunctionCode, Request, RequestError, Response, ResponseError, ascii, tcp,
 };
 use jointbus_protocol::nst::can::{BROADCAST, FrameType, Identifier, Outcome, Reassembler, TRANSFER_MAX};
 use jointbus_protocol::time::{Duration, Instant};
@@ -27,36 +27,36 @@ fn frame(pdu: &[u8]) -> Vec<u8> {
     sealed(&[&[UNIT], pdu].concat())
 }
 
-/// A slave as a firmware builds it: deframer and general server.
+/// A slave as a firmware builds it: decoder and general server.
 struct Slave {
-    deframer: BurstDeframer<{ FRAME_MAX + STRAY_MAX }>,
+    decoder: FrameDecoder<{ FRAME_MAX + STRAY_MAX }>,
     tables: Tables,
     now: Instant,
-    faults: Vec<Fault>,
+    errors: Vec<DecodeError>,
 }
 
 impl Slave {
     fn new() -> Self {
-        let deframer = BurstDeframer::new(SILENCE);
-        Self { deframer, tables: Tables::new(), now: START, faults: Vec::new() }
+        let decoder = FrameDecoder::new(SILENCE);
+        Self { decoder, tables: Tables::new(), now: START, errors: Vec::new() }
     }
 
     /// Sends a burst and the silence after it; returns the answers.
     fn hear(&mut self, mut burst: &[u8]) -> Vec<Vec<u8>> {
         let (mut out, mut answers) = ([0; FRAME_MAX], Vec::new());
-        let (tables, faults) = (&mut self.tables, &mut self.faults);
+        let (tables, errors) = (&mut self.tables, &mut self.errors);
         let mut serve = |event: Event<'_>| match event {
             Event::Frame(frame) => {
                 let answer = server::rtu(tables, UNIT, frame, &mut out);
                 answers.extend(answer.ok().map(<[u8]>::to_vec));
             }
-            Event::Dropped { fault, .. } => faults.push(fault),
+            Event::Dropped { error, .. } => errors.push(error),
         };
-        while let Some(event) = self.deframer.feed(&rtu::Requests, &mut burst, self.now) {
+        while let Some(event) = self.decoder.feed(&rtu::RequestFraming, &mut burst, self.now) {
             serve(event);
         }
-        self.now = self.now.after(SILENCE);
-        if let Some(event) = self.deframer.poll(&rtu::Requests, self.now) {
+        self.now = self.now.saturating_add(SILENCE);
+        if let Some(event) = self.decoder.poll(&rtu::RequestFraming, self.now) {
             serve(event);
         }
         answers
@@ -93,10 +93,10 @@ fn an_exception_of_one_byte() {
         assert!(Response::decode(&[code, 2]).is_ok());
         assert_eq!(Response::decode(&[code, 2, 3]), Err(ResponseError::Length(function)));
     }
-    let expected = ExpectedResponse::new(UNIT, &Request::ReadCoils(Range::new(0, 1)));
+    let expected = ExpectedResponse::new(UNIT, &Request::ReadCoils(AddressRange::new(0, 1)));
     assert!(!expected.accepts(&frame(&[0x81])));
     assert!(!expected.accepts_pdu(&[0x81]));
-    let mut search = ReplySearch::<300, 2>::default();
+    let mut search = ResponseMatcher::<300, 2>::default();
     assert_eq!(search.feed(&expected, &mut &frame(&[0x81])[..]), None);
     let refusal = frame(&[0x81, 2]);
     assert_eq!(search.feed(&expected, &mut &refusal[..]), Some((1, &refusal[..])));
@@ -107,10 +107,10 @@ fn a_byte_count_larger_than_the_frame() {
     for pdu in [&[16, 0, 0, 0, 2, 4, 0, 1][..], &[15, 0, 0, 0, 10, 2, 0xFF], &[16, 0, 0, 0, 1, 255, 0, 1]] {
         let function = FunctionCode::from_code(pdu[0]);
         assert_eq!(Request::decode(pdu), Err(RequestError::Length(function)));
-        // the deframer waits in vain for the rest, and the slave lives on
+        // the decoder waits in vain for the rest, and the slave lives on
         let mut slave = Slave::new();
         assert!(slave.hear(&frame(pdu)).is_empty());
-        assert_eq!(slave.faults.len(), 1);
+        assert_eq!(slave.errors.len(), 1);
         slave.still_answers();
         // whole frames handed to the server directly, as from TCP, get the exception
         let mut out = [0; 8];
@@ -162,7 +162,7 @@ fn an_unknown_function_code_with_a_wrong_crc_is_not_answered() {
         slave.still_answers();
         let mut out = [0; FRAME_MAX];
         let direct = server::rtu(&mut Tables::new(), UNIT, &wrong, &mut out);
-        assert_eq!(direct, Err(Silence::Frame(FrameError::Checksum)));
+        assert_eq!(direct, Err(NoResponse::Frame(FrameError::Checksum)));
     }
     refused(&[0x41, 1, 2, 3], 1);
 }
@@ -192,31 +192,29 @@ fn one_bad_crc_and_then_good_requests() {
 fn three_hundred_bytes_of_0x55() {
     let mut slave = Slave::new();
     assert!(slave.hear(&[0x55; 300]).is_empty());
-    assert_eq!(slave.faults.len(), 1);
+    assert_eq!(slave.errors.len(), 1);
     slave.still_answers();
-    let request = Request::ReadHoldingRegisters(Range::new(0, 1));
+    let request = Request::ReadHoldingRegisters(AddressRange::new(0, 1));
     let expected = ExpectedResponse::new(UNIT, &request);
-    let mut search = ReplySearch::<300, 2>::default();
+    let mut search = ResponseMatcher::<300, 2>::default();
     assert_eq!(search.feed(&expected, &mut &[0x55; 300][..]), None);
     let reply = frame(&[3, 2, 0, 0]);
     assert_eq!(search.feed(&expected, &mut &reply[..]), Some((0, &reply[..])));
-    assert_eq!(ascii::Deframer::new().feed(&mut &[0x55; 300][..]), None);
-    assert_eq!(tcp::Deframer::new().feed(&mut &[0x55; 300][..]), Err(tcp::FrameError::Protocol(0x5555)));
+    assert_eq!(ascii::Decoder::new().feed(&mut &[0x55; 300][..]), None);
+    assert_eq!(tcp::Decoder::new().feed(&mut &[0x55; 300][..]), Err(tcp::FrameError::Protocol(0x5555)));
 }
 
 #[test]
 fn ascii_without_end() {
-    let mut deframer = ascii::Deframer::new();
+    let mut decoder = ascii::Decoder::new();
     let mut endless = &[&b":"[..], &[b'0'; 5000]].concat()[..];
-    assert_eq!(deframer.feed(&mut endless), Some(ascii::Event::Dropped(ascii::FrameError::Endless)));
-    assert_eq!(deframer.feed(&mut endless), None);
-    assert!(!deframer.is_inside());
+    assert_eq!(decoder.feed(&mut endless), Some(ascii::Event::Dropped(ascii::FrameError::Endless)));
+    assert_eq!(decoder.feed(&mut endless), None);
+    assert!(!decoder.is_inside());
     let mut buffer = [0; ascii::FRAME_MAX];
-    let request = Request::ReadCoils(Range::new(0, 1));
+    let request = Request::ReadCoils(AddressRange::new(0, 1));
     let mut good = ascii::encode_request(UNIT, &request, &mut buffer).unwrap();
-    let Some(ascii::Event::Frame(frame)) = deframer.feed(&mut good) else {
-        panic!("the next frame is taken")
-    };
+    let Some(ascii::Event::Frame(frame)) = decoder.feed(&mut good) else { panic!("the next frame is taken") };
     let mut out = [0; ascii::FRAME_MAX];
     assert_eq!(server::ascii(&mut Tables::new(), UNIT, &frame, &mut out), Ok(&b":07010100F7\r\n"[..]));
 }
@@ -225,15 +223,15 @@ fn ascii_without_end() {
 fn mbap_lengths_of_255_and_0() {
     for length in [255u16, 0, 1, 0xFFFF] {
         let [high, low] = length.to_be_bytes();
-        let mut deframer = tcp::Deframer::new();
+        let mut decoder = tcp::Decoder::new();
         let header = [0, 1, 0, 0, high, low, 1];
         let mut stream = &[&header[..], &[3; 300]].concat()[..];
-        assert_eq!(deframer.feed(&mut stream), Err(tcp::FrameError::Length(length)));
+        assert_eq!(decoder.feed(&mut stream), Err(tcp::FrameError::Length(length)));
         // and it stays closed
-        assert_eq!(deframer.feed(&mut stream), Err(tcp::FrameError::Length(length)));
+        assert_eq!(decoder.feed(&mut stream), Err(tcp::FrameError::Length(length)));
     }
     let mut longest = &[&[0, 1, 0, 0, 0, 254, 1][..], &[3; 253]].concat()[..];
-    assert_eq!(tcp::Deframer::new().feed(&mut longest).unwrap().unwrap().pdu, [3; 253]);
+    assert_eq!(tcp::Decoder::new().feed(&mut longest).unwrap().unwrap().pdu, [3; 253]);
 }
 
 #[test]
@@ -294,7 +292,7 @@ fn can_frames_in_every_order_of_types_and_counters() {
                     delivered.push(body.chunks(8).map(|chunk| usize::from(chunk[0])).collect::<Vec<_>>());
                 }
                 Some(Outcome::More) => {}
-                None => assert!(report.irregularity.is_some(), "{frames:?}: dropped without a reason"),
+                None => assert!(report.error.is_some(), "{frames:?}: dropped without a reason"),
             }
         }
         assert_eq!(delivered, transfers(&frames), "{frames:?}");

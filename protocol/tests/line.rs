@@ -4,11 +4,11 @@ mod common;
 
 use common::Random;
 use jointbus_protocol::checksum;
-use jointbus_protocol::deframe::Fault;
-use jointbus_protocol::modbus::line::{Heard, SharedLine};
+use jointbus_protocol::decode::DecodeError;
+use jointbus_protocol::modbus::line::{Event, MultidropDecoder};
 use jointbus_protocol::modbus::rtu::{FRAME_MAX, encode_request, encode_response};
 use jointbus_protocol::modbus::server::{RamTables, rtu};
-use jointbus_protocol::modbus::{BROADCAST, ExceptionCode, FunctionCode, Range, Request, Response};
+use jointbus_protocol::modbus::{AddressRange, BROADCAST, ExceptionCode, FunctionCode, Request, Response};
 use jointbus_protocol::time::{Duration, Instant};
 
 const SILENCE: Duration = Duration::from_micros(1750);
@@ -18,19 +18,19 @@ const MINE: std::ops::RangeInclusive<u8> = 4..=5;
 enum Out {
     Request(Vec<u8>),
     Passed(Vec<u8>),
-    Dropped(Fault),
+    Dropped(DecodeError),
 }
 
 /// The line and what was heard on it.
 struct Rig {
-    line: SharedLine,
+    line: MultidropDecoder,
     now: Instant,
     heard: Vec<Out>,
 }
 
 impl Rig {
     fn new() -> Self {
-        Self { line: SharedLine::new(MINE, SILENCE), now: Instant::from_micros(7), heard: Vec::new() }
+        Self { line: MultidropDecoder::new(MINE, SILENCE), now: Instant::from_micros(7), heard: Vec::new() }
     }
 
     fn send(&mut self, bytes: &[u8], piece: usize) {
@@ -39,22 +39,22 @@ impl Rig {
                 self.heard.push(out(heard));
             }
             assert!(chunk.is_empty());
-            self.now = self.now.after(Duration::from_micros(90));
+            self.now = self.now.saturating_add(Duration::from_micros(90));
         }
     }
 
     fn wait(&mut self, span: Duration) {
-        self.now = self.now.after(span);
+        self.now = self.now.saturating_add(span);
         let heard = self.line.poll(self.now).map(out);
         self.heard.extend(heard);
     }
 }
 
-fn out(heard: Heard<'_>) -> Out {
+fn out(heard: Event<'_>) -> Out {
     match heard {
-        Heard::Request(frame) => Out::Request(frame.into()),
-        Heard::Passed(frame) => Out::Passed(frame.into()),
-        Heard::Dropped { fault, .. } => Out::Dropped(fault),
+        Event::Request(frame) => Out::Request(frame.into()),
+        Event::Foreign(frame) => Out::Passed(frame.into()),
+        Event::Dropped { error, .. } => Out::Dropped(error),
     }
 }
 
@@ -85,7 +85,8 @@ fn sealed(mut content: Vec<u8>) -> Vec<u8> {
     content
 }
 
-const READ: fn(u16) -> Request<'static> = |quantity| Request::ReadHoldingRegisters(Range::new(0, quantity));
+const READ: fn(u16) -> Request<'static> =
+    |quantity| Request::ReadHoldingRegisters(AddressRange::new(0, quantity));
 
 #[test]
 fn requests_and_responses_of_others_are_passed_over_without_silence() {
@@ -132,14 +133,14 @@ fn a_response_full_of_requests_to_me_is_passed_over() {
         let asked = request(9, READ(125));
         let answer =
             response(9, Response::Read { function: FunctionCode::ReadHoldingRegisters, data: &data });
-        let write = Request::WriteMultipleRegisters { range: Range::new(0, 123), data: &data[..246] };
+        let write = Request::WriteMultipleRegisters { range: AddressRange::new(0, 123), data: &data[..246] };
         let (write, written) = (
             request(9, write),
             response(
                 9,
                 Response::WriteMultiple {
                     function: FunctionCode::WriteMultipleRegisters,
-                    range: Range::new(0, 123),
+                    range: AddressRange::new(0, 123),
                 },
             ),
         );
@@ -218,7 +219,7 @@ fn nor_when_its_request_was_not_heard() {
 #[test]
 fn a_repeated_request_that_could_start_a_response_ends_by_silence() {
     // address 0x1000: its high byte is the byte count of eight registers
-    let asked = request(9, Request::ReadHoldingRegisters(Range::new(0x1000, 8)));
+    let asked = request(9, Request::ReadHoldingRegisters(AddressRange::new(0x1000, 8)));
     let mine = request(4, READ(1));
     let mut rig = Rig::new();
     rig.send(&asked, 3);
@@ -234,19 +235,23 @@ fn after_anything_wrong_nothing_until_silence() {
     let mine = request(4, Request::WriteSingleRegister { address: 1, value: 2 });
     let mut wrong = request(9, READ(2));
     wrong[7] ^= 1;
-    assert_eq!(hear(&[&wrong, &mine]), [Out::Dropped(Fault::Checksum)]);
+    assert_eq!(hear(&[&wrong, &mine]), [Out::Dropped(DecodeError::Checksum)]);
     let done = request(5, READ(1));
     assert_eq!(
         hear(&[&done, &[9, 0x83], &mine]),
-        [Out::Request(done), Out::Dropped(Fault::Impossible)],
+        [Out::Request(done), Out::Dropped(DecodeError::Impossible)],
         "a response nobody asked for"
     );
-    assert_eq!(hear(&[&[0xAA], &mine]), [Out::Dropped(Fault::Incomplete)], "stray bytes are not forgiven");
+    assert_eq!(
+        hear(&[&[0xAA], &mine]),
+        [Out::Dropped(DecodeError::Incomplete)],
+        "stray bytes are not forgiven"
+    );
     let mut rig = Rig::new();
     rig.send(&wrong, 8);
     rig.wait(SILENCE);
     rig.send(&mine, 8);
-    assert_eq!(rig.heard, [Out::Dropped(Fault::Checksum), Out::Request(mine)]);
+    assert_eq!(rig.heard, [Out::Dropped(DecodeError::Checksum), Out::Request(mine)]);
 }
 
 #[test]
@@ -264,11 +269,11 @@ fn an_unknown_function_code_ends_by_silence_for_me_and_for_others() {
     );
 }
 
-/// Requests of every kind that has a length of its own.
+/// RequestFraming of every kind that has a length of its own.
 fn any_request<'a>(random: &mut Random, data: &'a [u8]) -> Request<'a> {
     let address = random.next() as u16;
     let quantity = 1 + random.below(60) as u16;
-    let range = Range::new(address, quantity);
+    let range = AddressRange::new(address, quantity);
     match random.below(11) {
         0 => Request::ReadCoils(range),
         1 => Request::ReadDiscreteInputs(range),
@@ -281,7 +286,7 @@ fn any_request<'a>(random: &mut Random, data: &'a [u8]) -> Request<'a> {
         9 => Request::MaskWriteRegister { address, and: 1, or: 2 },
         _ => Request::ReadWriteMultipleRegisters {
             read: range,
-            write: Range::new(address, 2),
+            write: AddressRange::new(address, 2),
             data: &data[..4],
         },
     }
@@ -417,7 +422,7 @@ fn a_write_of_others_and_its_response_need_no_silence_unless_the_crc_counts_righ
     let mine = request(4, READ(1));
     let mut waited = 0;
     for address in 0..1000 {
-        let range = Range::new(address, 3);
+        let range = AddressRange::new(address, 3);
         let function = FunctionCode::WriteMultipleRegisters;
         let asked = request(9, Request::WriteMultipleRegisters { range, data: &[1, 2, 3, 4, 5, 6] });
         let answer = response(9, Response::WriteMultiple { function, range });
@@ -436,9 +441,9 @@ fn a_write_of_others_and_its_response_need_no_silence_unless_the_crc_counts_righ
 fn a_server_answers_from_the_line() {
     let mut tables = RamTables::<0, 0, 4, 0>::new();
     tables.holding_registers = [1, 2, 3, 4];
-    let mut line = SharedLine::new(MINE, SILENCE);
+    let mut line = MultidropDecoder::new(MINE, SILENCE);
     let (asked, mut answer) = (request(4, READ(2)), [0; FRAME_MAX]);
-    let Some(Heard::Request(frame)) = line.feed(&mut &asked[..], Instant::from_micros(0)) else {
+    let Some(Event::Request(frame)) = line.feed(&mut &asked[..], Instant::from_micros(0)) else {
         panic!("a request")
     };
     assert_eq!(rtu(&mut tables, 4, frame, &mut answer), Ok(&sealed(vec![4, 3, 4, 0, 1, 0, 2])[..]));

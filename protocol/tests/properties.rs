@@ -3,13 +3,16 @@
 
 use jointbus_protocol::can::{Frame as CanFrame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::deframe::{BurstDeframer, Event, Expectation, ReplySearch, STRAY_MAX};
-use jointbus_protocol::modbus::identification::{Category, Conformity, Identification, ObjectId, Objects};
-use jointbus_protocol::modbus::line::{Heard, SharedLine};
+use jointbus_protocol::decode::{Event, FrameDecoder, Match, ResponseMatcher, STRAY_MAX};
+use jointbus_protocol::modbus::identification::{
+    ConformityLevel, Identification, ObjectId, Objects, ReadDeviceIdCode,
+};
+use jointbus_protocol::modbus::line::{self, MultidropDecoder};
 use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX};
 use jointbus_protocol::modbus::server::{self, RamTables};
 use jointbus_protocol::modbus::{
-    Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Request, Response, ascii, rtu, tcp,
+    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, Request, Response, ascii, rtu,
+    tcp,
 };
 use jointbus_protocol::ndam9010::{self, Layout, RamModule, Station};
 use jointbus_protocol::nst::{self, Daq, RamHardware, SignEncoding};
@@ -36,7 +39,7 @@ struct AnyRequest {
 impl AnyRequest {
     fn value(&self) -> Request<'_> {
         let [a, b, c, d] = self.words;
-        let range = Range::new(a, b);
+        let range = AddressRange::new(a, b);
         let data = &self.data[..];
         match self.kind {
             0 => Request::ReadCoils(range),
@@ -46,16 +49,16 @@ impl AnyRequest {
             4 => Request::WriteSingleCoil { address: a, value: b },
             5 => Request::WriteSingleRegister { address: a, value: b },
             6 => Request::ReadExceptionStatus,
-            7 => Request::Diagnostics { what: Diagnostic::from_code(a), data },
+            7 => Request::Diagnostics { subfunction: DiagnosticSubfunction::from_code(a), data },
             8 => Request::GetCommEventCounter,
             9 => Request::GetCommEventLog,
             10 => Request::WriteMultipleCoils { range, data },
             11 => Request::WriteMultipleRegisters { range, data },
             12 => Request::ReportServerId,
             13 => Request::MaskWriteRegister { address: a, and: b, or: c },
-            14 => Request::ReadWriteMultipleRegisters { read: range, write: Range::new(c, d), data },
+            14 => Request::ReadWriteMultipleRegisters { read: range, write: AddressRange::new(c, d), data },
             15 => Request::ReadDeviceIdentification {
-                category: Category::from_code(a as u8),
+                category: ReadDeviceIdCode::from_code(a as u8),
                 object: ObjectId::from_code(b as u8),
             },
             _ => Request::Other { function: FunctionCode::Unknown(0x41 + (a % 8) as u8), data },
@@ -100,12 +103,15 @@ fn response<'a>((kind, [a, b, c], data): &'a (u8, [u16; 3], Vec<u8>), objects: &
         4 => Response::WriteSingle { function: FunctionCode::WriteSingleCoil, address: a, value: b },
         5 => Response::ExceptionStatus(a as u8),
         6 => Response::CommEventLog { status: a, events: b, messages: c, log: data },
-        7 => Response::WriteMultiple { function: FunctionCode::WriteMultipleCoils, range: Range::new(a, b) },
+        7 => Response::WriteMultiple {
+            function: FunctionCode::WriteMultipleCoils,
+            range: AddressRange::new(a, b),
+        },
         8 => Response::ServerId(data),
         9 => Response::MaskWrite { address: a, and: b, or: c },
         10 => Response::DeviceIdentification(Identification {
-            category: Category::from_code(a as u8),
-            conformity: Conformity::from_code(b as u8),
+            category: ReadDeviceIdCode::from_code(a as u8),
+            conformity: ConformityLevel::from_code(b as u8),
             next: (c > 99).then(|| ObjectId::from_code(c as u8)),
             objects: Objects::new(objects).unwrap(),
         }),
@@ -170,13 +176,13 @@ proptest! {
         prop_assert_eq!((decoded.unit, Request::decode(decoded.pdu)), (unit, Ok(request)));
 
         let mut frame = ascii::encode_request(unit, &request, &mut buffer).unwrap();
-        let mut deframer = ascii::Deframer::new();
-        let Some(ascii::Event::Frame(decoded)) = deframer.feed(&mut frame) else { panic!("a frame") };
+        let mut decoder = ascii::Decoder::new();
+        let Some(ascii::Event::Frame(decoded)) = decoder.feed(&mut frame) else { panic!("a frame") };
         prop_assert_eq!((decoded.unit, Request::decode(decoded.pdu)), (unit, Ok(request)));
 
         let mut frame = tcp::encode_request(transaction, unit, &request, &mut buffer).unwrap();
-        let mut deframer = tcp::Deframer::new();
-        let decoded = deframer.feed(&mut frame).unwrap().unwrap();
+        let mut decoder = tcp::Decoder::new();
+        let decoded = decoder.feed(&mut frame).unwrap().unwrap();
         prop_assert_eq!((decoded.transaction, decoded.unit), (transaction, unit));
         prop_assert_eq!(Request::decode(decoded.pdu), Ok(request));
     }
@@ -196,8 +202,8 @@ proptest! {
         prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
 
         let mut frame = tcp::encode_response(1, unit, &response, &mut buffer).unwrap();
-        let mut deframer = tcp::Deframer::new();
-        let decoded = deframer.feed(&mut frame).unwrap().unwrap();
+        let mut decoder = tcp::Decoder::new();
+        let decoded = decoder.feed(&mut frame).unwrap().unwrap();
         prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
     }
 
@@ -242,12 +248,12 @@ proptest! {
         let function =
             nst::FunctionCode::from_code([0x03, 0x15, 0x10, 0x12, 0x13, 0x18, 0x19][usize::from(kind)]);
         let reply = match kind {
-            0 | 1 => nst::Reply::Data { function, data: &data },
-            _ => nst::Reply::Acknowledge { function, length },
+            0 | 1 => nst::Response::Data { function, data: &data },
+            _ => nst::Response::Acknowledge { function, length },
         };
-        let mut buffer = [0xEE; nst::serial::REPLY_MAX];
+        let mut buffer = [0xEE; nst::serial::RESPONSE_MAX];
         let frame = nst::serial::encode_reply(9, &reply, &mut buffer).unwrap();
-        prop_assert_eq!(nst::Reply::decode(nst::serial::Frame::decode(frame).unwrap().body), Ok(reply));
+        prop_assert_eq!(nst::Response::decode(nst::serial::Frame::decode(frame).unwrap().body), Ok(reply));
     }
 
     #[test]
@@ -292,7 +298,7 @@ proptest! {
         let mut sensor = daq();
         let _ = sensor.serve_serial(&frame, &mut out);
         let _ = sensor.serve_stream(&bytes, &mut out);
-        let _ = nst::Reply::decode(&bytes);
+        let _ = nst::Response::decode(&bytes);
         let _ = (Request::decode(&bytes), Response::decode(&bytes), Objects::new(&bytes).map(Iterator::count));
         let _ = ascii::Frame::decode(&bytes, &mut out).is_ok();
         let mut station_store = [0; ndam9010::settings::STORED_LENGTH];
@@ -304,19 +310,19 @@ proptest! {
         let _ = (ndam9010::Settings::decode(&station_store), Settings::decode(&card_store));
         let _ = (rtu::request_length(&bytes), nst::serial::request_length(&bytes));
 
-        let mut burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
-        let mut nst_burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
-        let mut line = SharedLine::new(4..=5, SILENCE);
-        let (mut characters, mut connection) = (ascii::Deframer::new(), tcp::Deframer::new());
+        let mut burst = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut nst_burst = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut line = MultidropDecoder::new(4..=5, SILENCE);
+        let (mut characters, mut connection) = (ascii::Decoder::new(), tcp::Decoder::new());
         let mut lines = slcan::LineReader::<40>::new();
-        let expected = ExpectedResponse::new(1, &Request::ReadCoils(Range::new(0, 9)));
-        let mut search = ReplySearch::<300, 2>::default();
+        let expected = ExpectedResponse::new(1, &Request::ReadCoils(AddressRange::new(0, 9)));
+        let mut search = ResponseMatcher::<300, 2>::default();
         for chunk in frame.chunks(piece) {
             // each event takes at least one byte, so this ends
             let mut rest = chunk;
-            while burst.feed(&rtu::Requests, &mut rest, START).is_some() {}
+            while burst.feed(&rtu::RequestFraming, &mut rest, START).is_some() {}
             rest = chunk;
-            while nst_burst.feed(&nst::serial::Requests, &mut rest, START).is_some() {}
+            while nst_burst.feed(&nst::serial::RequestFraming, &mut rest, START).is_some() {}
             rest = chunk;
             while line.feed(&mut rest, START).is_some() {}
             rest = chunk;
@@ -331,9 +337,9 @@ proptest! {
                 }
             }
         }
-        let later = START.after(SILENCE);
-        let _ = burst.poll(&rtu::Requests, later);
-        let _ = nst_burst.poll(&nst::serial::Requests, later);
+        let later = START.saturating_add(SILENCE);
+        let _ = burst.poll(&rtu::RequestFraming, later);
+        let _ = nst_burst.poll(&nst::serial::RequestFraming, later);
         let _ = line.poll(later);
     }
 
@@ -344,17 +350,17 @@ proptest! {
         let mut reassembler = nst::can::Reassembler::<2>::new(2, SILENCE);
         let mut now = START;
         for (remote, source, destination, format, data, pause) in frames {
-            now = now.after(Duration::from_millis(pause));
+            now = now.saturating_add(Duration::from_millis(pause));
             let id = Id::Extended(source << 16 | destination << 8 | u32::from(format));
             let mut bytes = [0; 8];
             bytes[..data.len()].copy_from_slice(&data);
-            let frame = CanFrame::from_wire(id, remote, data.len() as u8, bytes).unwrap();
+            let frame = CanFrame::from_parts(id, remote, data.len() as u8, bytes).unwrap();
             if let Some(nst::can::Outcome::Complete { body, .. }) = reassembler.push(&frame, now).outcome {
                 prop_assert!(!body.is_empty() && body.len() <= nst::can::TRANSFER_MAX);
             }
         }
         // and it still joins a transfer
-        let later = now.after(SILENCE).after(SILENCE);
+        let later = now.saturating_add(SILENCE).saturating_add(SILENCE);
         let mut joined = None;
         for frame in nst::can::segment(3, 2, &[7; 20]).unwrap() {
             if let Some(nst::can::Outcome::Complete { body, .. }) = reassembler.push(&frame, later).outcome {
@@ -376,31 +382,31 @@ proptest! {
         // a byte count may belie the frame's own length; then the line can't know where it ends
         prop_assume!(Request::decode(&frame[1..frame.len() - 2]).is_ok());
         let regular = !matches!(request, Request::Diagnostics { data, .. } if data.len() != 2);
-        let (quiet, done) = (START.after(SILENCE), START.after(SILENCE).after(SILENCE));
+        let (quiet, done) = (START.saturating_add(SILENCE), START.saturating_add(SILENCE).saturating_add(SILENCE));
 
-        let mut burst = BurstDeframer::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
+        let mut burst = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
         let mut rest = &garbage[..];
-        while burst.feed(&rtu::Requests, &mut rest, START).is_some() {}
-        let _ = burst.poll(&rtu::Requests, quiet);
+        while burst.feed(&rtu::RequestFraming, &mut rest, START).is_some() {}
+        let _ = burst.poll(&rtu::RequestFraming, quiet);
         let mut rest = &frame[..];
-        let event = burst.feed(&rtu::Requests, &mut rest, quiet).is_some();
+        let event = burst.feed(&rtu::RequestFraming, &mut rest, quiet).is_some();
         if regular {
-            let event = if event { Some(Event::Frame(&frame)) } else { burst.poll(&rtu::Requests, done) };
+            let event = if event { Some(Event::Frame(&frame)) } else { burst.poll(&rtu::RequestFraming, done) };
             prop_assert_eq!(event, Some(Event::Frame(&frame)));
         }
 
-        let mut line = SharedLine::new(4..=5, SILENCE);
+        let mut line = MultidropDecoder::new(4..=5, SILENCE);
         let mut rest = &garbage[..];
         while line.feed(&mut rest, START).is_some() {}
         let _ = line.poll(quiet);
         let mut rest = &frame[..];
         let heard = line.feed(&mut rest, quiet).is_some();
         if regular {
-            let heard = if heard { Some(Heard::Request(&frame)) } else { line.poll(done) };
-            prop_assert_eq!(heard, Some(Heard::Request(&frame)));
+            let heard = if heard { Some(line::Event::Request(&frame)) } else { line.poll(done) };
+            prop_assert_eq!(heard, Some(line::Event::Request(&frame)));
         }
 
-        let mut characters = ascii::Deframer::new();
+        let mut characters = ascii::Decoder::new();
         let mut rest = &garbage[..];
         while characters.feed(&mut rest).is_some() {}
         let mut rest = ascii::encode_request(unit, &request, &mut buffer).unwrap();
@@ -432,9 +438,9 @@ proptest! {
         let answer = Response::decode(&answer[1..answer.len() - 2]).unwrap().function();
         prop_assert_eq!(answer, request.function());
 
-        let (mut deframer, mut connection) = (ascii::Deframer::new(), tcp::Deframer::new());
+        let (mut decoder, mut connection) = (ascii::Decoder::new(), tcp::Decoder::new());
         let mut frame = ascii::encode_request(5, &request, &mut buffer).unwrap();
-        let Some(ascii::Event::Frame(frame)) = deframer.feed(&mut frame) else { panic!("a frame") };
+        let Some(ascii::Event::Frame(frame)) = decoder.feed(&mut frame) else { panic!("a frame") };
         let answer = server::ascii(&mut tables, 5, &frame, &mut out).unwrap();
         let mut content = [0; ascii::CONTENT_MAX + 1];
         prop_assert!(expected.accepts_pdu(ascii::Frame::decode(answer, &mut content).unwrap().pdu));
@@ -442,7 +448,7 @@ proptest! {
         let mut frame = tcp::encode_request(transaction, 5, &request, &mut buffer).unwrap();
         let frame = connection.feed(&mut frame).unwrap().unwrap();
         let mut answer = server::tcp(&mut tables, &frame, &mut out).unwrap();
-        let mut back = tcp::Deframer::new();
+        let mut back = tcp::Decoder::new();
         let answer = back.feed(&mut answer).unwrap().unwrap();
         prop_assert_eq!((answer.transaction, answer.unit), (transaction, 5));
         prop_assert!(expected.accepts_pdu(answer.pdu));
@@ -473,19 +479,19 @@ proptest! {
         let (mut buffer, mut out) = ([0; FRAME_MAX], [0; FRAME_MAX]);
         let frame = nst::serial::encode_request(5, &request, &mut buffer).unwrap();
         if let Ok(reply) = daq().serve_serial(frame, &mut out) {
-            prop_assert!(nst::serial::ExpectedReply::new(5, &request).accepts(reply));
+            prop_assert!(nst::serial::ExpectedResponse::new(5, &request).accepts(reply));
         }
     }
 
     #[test]
     fn a_reply_is_found_behind_any_noise(noise in vec(any::<u8>(), 0..700), quantity in 1..=125u16) {
-        let request = Request::ReadInputRegisters(Range::new(0, quantity));
+        let request = Request::ReadInputRegisters(AddressRange::new(0, quantity));
         let expected = ExpectedResponse::new(9, &request);
         let data = vec![3; 2 * usize::from(quantity)];
         let mut buffer = [0; FRAME_MAX];
         let reply = Response::Read { function: request.function(), data: &data };
         let frame = rtu::encode_response(9, &reply, &mut buffer).unwrap();
-        let mut search = ReplySearch::<{ FRAME_MAX + 1 }, 2>::default();
+        let mut search = ResponseMatcher::<{ FRAME_MAX + 1 }, 2>::default();
         let mut rest = &noise[..];
         // noise that is a reply by itself is none of this test's business
         prop_assume!(search.feed(&expected, &mut rest).is_none());

@@ -12,7 +12,7 @@ use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_mcu_bridge::io::serial::Queues;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::checksum::crc16;
-use jointbus_protocol::modbus::{self, Range, rtu};
+use jointbus_protocol::modbus::{self, AddressRange, rtu};
 
 /// What the figures are of.
 const SUBJECT: &str = "bridge";
@@ -76,7 +76,7 @@ fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     for _ in 0..READS {
         worst = worst.max(read(&mut world, byte)?);
     }
-    let span = world.now().since(start) as f64 / SECONDS as f64;
+    let span = world.now().saturating_duration_since(start) as f64 / SECONDS as f64;
     Ok((worst as f64, READS as f64 / span))
 }
 
@@ -84,7 +84,7 @@ fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
 /// its first byte to the host.
 fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
     let asked = world.host_sends(&[&READ[..], &crc16(&READ).to_le_bytes()].concat());
-    let end = world.now().after(20 * MILLIS);
+    let end = world.now().saturating_add(20 * MILLIS);
     let (mut sent, mut heard, mut first, mut bytes) = (None, None, None::<Moment>, 0);
     while bytes < REPLY_LENGTH {
         match world.next(end).context("no reply")? {
@@ -98,7 +98,7 @@ fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
         }
     }
     let (sent, heard, first) = (sent.context("no request")?, heard.context("no frame")?, first.context("?")?);
-    Ok(sent.since(asked) + first.since(heard) - byte)
+    Ok(sent.saturating_duration_since(asked) + first.saturating_duration_since(heard) - byte)
 }
 
 /// All slots as often as they can: reads a second, and what the bus could carry of them.
@@ -111,11 +111,11 @@ fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let mut world = World::new(settings, &mut queues);
     // unit and period in 100 us of each
     let data: Vec<u8> = (0..SLOTS).flat_map(|slot| [0, 1 + slot % nodes, 0, 1]).collect();
-    let range = Range::new(FIRST_SLOT, 2 * u16::from(SLOTS));
+    let range = AddressRange::new(FIRST_SLOT, 2 * u16::from(SLOTS));
     let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
     let mut buffer = [0; rtu::FRAME_MAX];
     let frame = rtu::encode_request(BRIDGE, &request, &mut buffer).ok().context("a request that fits")?;
-    let settled = world.host_sends(frame).after(10 * MILLIS);
+    let settled = world.host_sends(frame).saturating_add(10 * MILLIS);
     while world.next(settled).is_some() {}
     let sequence = |world: &World<'_>| -> u64 {
         (0..SLOTS)
@@ -123,7 +123,7 @@ fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
             .map(|slot| u64::from(slot.sequence))
             .sum()
     };
-    let (before, end) = (sequence(&world), settled.after(SECONDS));
+    let (before, end) = (sequence(&world), settled.saturating_add(SECONDS));
     let (mut bits, mut requests) = (0, 0);
     let mut carry = |frame: &Frame| bits += length(frame).whole + INTERMISSION;
     while let Some(notice) = world.next(end) {

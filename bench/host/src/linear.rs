@@ -2,8 +2,8 @@
 
 use std::hint::black_box;
 
-use jointbus_protocol::deframe::{BurstDeframer, ReplySearch};
-use jointbus_protocol::modbus::{ExpectedResponse, Range, Request, rtu};
+use jointbus_protocol::decode::{FrameDecoder, ResponseMatcher};
+use jointbus_protocol::modbus::{AddressRange, ExpectedResponse, Request, rtu};
 use jointbus_protocol::time::{Duration, Instant};
 
 use crate::count;
@@ -20,9 +20,9 @@ pub(crate) fn all() {
     for (kind, garbage) in KINDS {
         for length in LENGTHS {
             let bytes = garbage(length);
-            count(&format!("deframe request, {kind}"), &length.to_string(), || bursts(black_box(&bytes)));
+            count(&format!("decode request, {kind}"), &length.to_string(), || bursts(black_box(&bytes)));
             let mut search = Search::behind(&bytes);
-            count(&format!("deframe reply, {kind}"), &length.to_string(), || search.take(black_box(&bytes)));
+            count(&format!("decode reply, {kind}"), &length.to_string(), || search.take(black_box(&bytes)));
         }
     }
 }
@@ -46,14 +46,14 @@ fn beginnings(length: usize) -> Vec<u8> {
 /// The slave's side: bursts with a silence behind each.
 fn bursts(bytes: &[u8]) {
     const SILENCE: u64 = 1750;
-    let mut deframer = BurstDeframer::<260>::new(Duration::from_micros(SILENCE));
+    let mut decoder = FrameDecoder::<260>::new(Duration::from_micros(SILENCE));
     let mut now = 0;
     for mut burst in bytes.chunks(64) {
         now += SILENCE;
         let at = Instant::from_micros(now);
-        black_box(deframer.poll(&rtu::Requests, at));
+        black_box(decoder.poll(&rtu::RequestFraming, at));
         while !burst.is_empty() {
-            black_box(deframer.feed(&rtu::Requests, &mut burst, at));
+            black_box(decoder.feed(&rtu::RequestFraming, &mut burst, at));
         }
     }
 }
@@ -61,7 +61,7 @@ fn bursts(bytes: &[u8]) {
 /// The master's side, which waits for the longest reply.
 struct Search {
     expected: ExpectedResponse,
-    search: ReplySearch<WINDOW, 2>,
+    search: ResponseMatcher<WINDOW, 2>,
 }
 
 /// Bytes that it looks back on.
@@ -70,9 +70,9 @@ const WINDOW: usize = 320;
 impl Search {
     /// It has kept as many bytes as it can: the first few of all have less to do.
     fn behind(bytes: &[u8]) -> Self {
-        let request = Request::ReadHoldingRegisters(Range::new(0, 125));
+        let request = Request::ReadHoldingRegisters(AddressRange::new(0, 125));
         let expected = ExpectedResponse::new(1, &request);
-        let mut search = Self { expected, search: ReplySearch::default() };
+        let mut search = Self { expected, search: ResponseMatcher::default() };
         search.take(&bytes[..WINDOW]);
         search
     }

@@ -4,7 +4,7 @@ use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::server::{
     self, BitWriter, Bits, RamTables, RegisterWriter, Registers, Server,
 };
-use jointbus_protocol::modbus::{ExceptionCode, Range};
+use jointbus_protocol::modbus::{AddressRange, ExceptionCode};
 
 use crate::{FRAME_MAX, Kind, Subject};
 
@@ -18,17 +18,21 @@ impl Tables {
 }
 
 impl Server for Tables {
-    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.0.read_coils(range, bits)
     }
 
-    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        range: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         self.0.read_discrete_inputs(range, bits)
     }
 
     fn read_holding_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         self.0.read_holding_registers(range, registers)
@@ -36,17 +40,21 @@ impl Server for Tables {
 
     fn read_input_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         self.0.read_input_registers(range, registers)
     }
 
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         self.0.write_coils(range, bits)
     }
 
-    fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(
+        &mut self,
+        range: AddressRange,
+        registers: Registers<'_>,
+    ) -> Result<(), ExceptionCode> {
         self.0.write_registers(range, registers)
     }
 }

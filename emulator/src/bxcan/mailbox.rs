@@ -86,7 +86,7 @@ impl Mailbox {
         let mut data = [0; 8];
         data[..4].copy_from_slice(&low.to_le_bytes());
         data[4..].copy_from_slice(&high.to_le_bytes());
-        Frame::from_wire(id, identifier & frame::RTR != 0, (length & 0xf) as u8, data)
+        Frame::from_parts(id, identifier & frame::RTR != 0, (length & 0xf) as u8, data)
             .expect("identifier and length have no more bits than their fields")
     }
 }

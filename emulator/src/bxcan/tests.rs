@@ -170,7 +170,7 @@ fn mailboxes_go_by_identifier() {
 
 #[test]
 fn a_data_frame_goes_before_the_remote_frame_of_its_identifier() {
-    let remote = |id| Frame::from_wire(id, true, 0, [0; 8]).unwrap();
+    let remote = |id| Frame::from_parts(id, true, 0, [0; 8]).unwrap();
     assert!(Arbitration::of(&standard(5, &[])) < Arbitration::of(&remote(Id::Standard(5))));
     assert!(Arbitration::of(&extended(5, &[])) < Arbitration::of(&remote(Id::Extended(5))));
     assert!(Arbitration::of(&remote(Id::Standard(5))) < Arbitration::of(&extended(5 << 18, &[])));
@@ -406,7 +406,7 @@ fn received_frames_are_stored_as_they_came() {
 
 #[test]
 fn length_codes_above_eight_pass_both_ways() {
-    let long = Frame::from_wire(Id::Standard(1), false, 15, [9; 8]).unwrap();
+    let long = Frame::from_parts(Id::Standard(1), false, 15, [9; 8]).unwrap();
     let mut can = on_bus(0);
     can.receive(&long);
     assert_eq!(can.read(frame::FIFOS + 4) & 0xf, 15);

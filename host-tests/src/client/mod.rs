@@ -11,7 +11,7 @@ pub use modbus::Modbus;
 pub use nst::Nst;
 
 use crate::devices::attach::is_pause;
-use jointbus_protocol::deframe::{Expectation, ReplySearch};
+use jointbus_protocol::decode::{Match, ResponseMatcher};
 use jointbus_protocol::modbus::ExceptionCode;
 use std::fmt;
 use std::io::{self, Read, Write};
@@ -152,7 +152,7 @@ impl<S: Read + Write> Client<S> {
     fn exchange<const L: usize>(
         &mut self,
         frame: &[u8],
-        expected: &impl Expectation<L>,
+        expected: &impl Match<L>,
         ends_at_silence: impl Fn(&[u8]) -> bool,
     ) -> Result<Vec<u8>, Error> {
         if self.disturbed {
@@ -161,7 +161,7 @@ impl<S: Read + Write> Client<S> {
         self.disturbed = true;
         self.send(frame)?;
         let deadline = Instant::now() + self.timeout;
-        let mut search = ReplySearch::<SEARCHED, L>::default();
+        let mut search = ResponseMatcher::<SEARCHED, L>::default();
         let mut chunk = [0; 1024];
         loop {
             let length = self.receive(&mut chunk)?;
@@ -171,7 +171,7 @@ impl<S: Read + Write> Client<S> {
                 return Ok(reply.to_vec());
             }
             if length == 0
-                && let Some(reply) = search.at_silence(&ends_at_silence)
+                && let Some(reply) = search.end_of_frame(&ends_at_silence)
             {
                 self.disturbed = false;
                 return Ok(reply.to_vec());

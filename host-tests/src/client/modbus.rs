@@ -1,7 +1,7 @@
 use super::{Client, Error};
 use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX, Frame, encode_request};
 use jointbus_protocol::modbus::{
-    BROADCAST, COIL_OFF, COIL_ON, Range, Request, Response, bit, bytes_of_bits, registers,
+    AddressRange, BROADCAST, COIL_OFF, COIL_ON, Request, Response, bit, packed_len, registers,
 };
 use std::io::{Read, Write};
 
@@ -24,7 +24,7 @@ impl<S: Read + Write> Modbus<'_, S> {
     /// # Errors
     /// [`Error`]. So for every method here.
     pub fn read_coils(&mut self, start: u16, quantity: u16) -> Result<Vec<bool>, Error> {
-        let range = Range::new(start, quantity);
+        let range = AddressRange::new(start, quantity);
         Ok(unpack(&self.read(&Request::ReadCoils(range))?, quantity))
     }
 
@@ -33,7 +33,7 @@ impl<S: Read + Write> Modbus<'_, S> {
     /// # Errors
     /// [`Error`].
     pub fn read_discrete_inputs(&mut self, start: u16, quantity: u16) -> Result<Vec<bool>, Error> {
-        let range = Range::new(start, quantity);
+        let range = AddressRange::new(start, quantity);
         Ok(unpack(&self.read(&Request::ReadDiscreteInputs(range))?, quantity))
     }
 
@@ -42,7 +42,7 @@ impl<S: Read + Write> Modbus<'_, S> {
     /// # Errors
     /// [`Error`].
     pub fn read_holding_registers(&mut self, start: u16, quantity: u16) -> Result<Vec<u16>, Error> {
-        let range = Range::new(start, quantity);
+        let range = AddressRange::new(start, quantity);
         Ok(registers(&self.read(&Request::ReadHoldingRegisters(range))?).collect())
     }
 
@@ -51,7 +51,7 @@ impl<S: Read + Write> Modbus<'_, S> {
     /// # Errors
     /// [`Error`].
     pub fn read_input_registers(&mut self, start: u16, quantity: u16) -> Result<Vec<u16>, Error> {
-        let range = Range::new(start, quantity);
+        let range = AddressRange::new(start, quantity);
         Ok(registers(&self.read(&Request::ReadInputRegisters(range))?).collect())
     }
 
@@ -78,11 +78,11 @@ impl<S: Read + Write> Modbus<'_, S> {
     /// [`Error`].
     pub fn write_coils(&mut self, start: u16, values: &[bool]) -> Result<(), Error> {
         let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
-        let mut data = vec![0u8; bytes_of_bits(quantity)];
+        let mut data = vec![0u8; packed_len(quantity)];
         for (index, _) in values.iter().enumerate().filter(|(_, on)| **on) {
             data[index / 8] |= 1 << (index % 8);
         }
-        self.write(&Request::WriteMultipleCoils { range: Range::new(start, quantity), data: &data })
+        self.write(&Request::WriteMultipleCoils { range: AddressRange::new(start, quantity), data: &data })
     }
 
     /// 0x10.
@@ -92,7 +92,10 @@ impl<S: Read + Write> Modbus<'_, S> {
     pub fn write_registers(&mut self, start: u16, values: &[u16]) -> Result<(), Error> {
         let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
         let data: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
-        self.write(&Request::WriteMultipleRegisters { range: Range::new(start, quantity), data: &data })
+        self.write(&Request::WriteMultipleRegisters {
+            range: AddressRange::new(start, quantity),
+            data: &data,
+        })
     }
 
     /// 0x03 for values of two registers, low word first, as an NXI-6201 has them.

@@ -1,7 +1,9 @@
 use super::{Client, Error};
 use jointbus_protocol::nst::register::{DATA, IP_ADDRESS, IP_PORT, ZERO_POINTS};
-use jointbus_protocol::nst::serial::{ExpectedReply, Frame, REQUEST_MAX, encode_request};
-use jointbus_protocol::nst::{BROADCAST, FunctionCode, Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding};
+use jointbus_protocol::nst::serial::{ExpectedResponse, Frame, REQUEST_MAX, encode_request};
+use jointbus_protocol::nst::{
+    BROADCAST, FunctionCode, Request, Response, SAMPLE_LENGTH, Sample, SignEncoding,
+};
 use std::io::{Read, Write};
 
 /// Questions to one NST sensor, in the serial form. A sensor refuses by silence: [`Error::Timeout`]. Address 255 is
@@ -90,7 +92,7 @@ impl<S: Read + Write> Nst<'_, S> {
     pub fn request(&mut self, request: &Request<'_>) -> Result<Vec<u8>, Error> {
         let mut buffer = [0; REQUEST_MAX];
         let frame = encode_request(self.address, request, &mut buffer).map_err(|_| Error::Question)?;
-        let reply = self.client.exchange(frame, &ExpectedReply::new(self.address, request), |_| false)?;
+        let reply = self.client.exchange(frame, &ExpectedResponse::new(self.address, request), |_| false)?;
         Ok(Frame::decode(&reply).ok_or(Error::Answer)?.body.to_vec())
     }
 
@@ -100,8 +102,8 @@ impl<S: Read + Write> Nst<'_, S> {
     }
 
     fn data(&mut self, request: &Request<'_>) -> Result<Vec<u8>, Error> {
-        match Reply::decode(&self.request(request)?) {
-            Ok(Reply::Data { data, .. }) => Ok(data.to_vec()),
+        match Response::decode(&self.request(request)?) {
+            Ok(Response::Data { data, .. }) => Ok(data.to_vec()),
             _ => Err(Error::Answer),
         }
     }
@@ -112,8 +114,8 @@ impl<S: Read + Write> Nst<'_, S> {
             let frame = encode_request(BROADCAST, request, &mut buffer).map_err(|_| Error::Question)?;
             return self.client.send(frame);
         }
-        match Reply::decode(&self.request(request)?) {
-            Ok(Reply::Acknowledge { .. }) => Ok(()),
+        match Response::decode(&self.request(request)?) {
+            Ok(Response::Acknowledge { .. }) => Ok(()),
             _ => Err(Error::Answer),
         }
     }

@@ -33,7 +33,7 @@ impl<L: SerialLine> Loopback<L> {
 
     /// Lets time pass.
     pub fn advance(&mut self, span: Duration) {
-        self.now = self.now.after(span);
+        self.now = self.now.saturating_add(span);
         self.waiting.extend(self.line.poll(self.now));
     }
 

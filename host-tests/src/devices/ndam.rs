@@ -1,7 +1,7 @@
 use super::{Log, Order, SerialLine, motion};
-use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
+use jointbus_protocol::decode::{Event, FrameDecoder, STRAY_MAX};
 use jointbus_protocol::modbus::BROADCAST;
-use jointbus_protocol::modbus::rtu::{FRAME_MAX, Frame, Requests};
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, Frame, RequestFraming};
 use jointbus_protocol::ndam9010::{CHANNELS_MAX, Layout, RamModule, Station, StationError};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -19,7 +19,7 @@ pub struct Inputs {
 /// An NDAM-9010 station with `N` equal modules on an RS485 line, Modbus RTU. Its inputs follow [`motion`].
 #[derive(Debug)]
 pub struct NdamLine<const N: usize> {
-    deframer: BurstDeframer<{ FRAME_MAX + STRAY_MAX }>,
+    decoder: FrameDecoder<{ FRAME_MAX + STRAY_MAX }>,
     station: Station<RamModule, N>,
     start_id: u8,
     plugged: bool,
@@ -35,9 +35,9 @@ impl<const N: usize> NdamLine<N> {
     /// [`StationError`] where a station can't have so many modules there.
     pub fn new(layout: Layout, start_id: u8, silence: Duration) -> Result<Self, StationError> {
         let station = Station::new(std::array::from_fn(|_| RamModule::new(layout)), start_id)?;
-        let deframer = BurstDeframer::new(silence);
+        let decoder = FrameDecoder::new(silence);
         let (told, orders) = (Log::default(), Log::default());
-        Ok(Self { deframer, station, start_id, plugged: true, spelling: false, told, orders })
+        Ok(Self { decoder, station, start_id, plugged: true, spelling: false, told, orders })
     }
 
     /// Has the analog inputs spell the moment, as [`motion::spelling_inputs`] says.
@@ -113,8 +113,8 @@ impl<const N: usize> NdamLine<N> {
 impl<const N: usize> SerialLine for NdamLine<N> {
     fn receive(&mut self, mut bytes: &[u8], now: Instant) -> Vec<u8> {
         let mut out = Vec::new();
-        // the frame is copied out of the deframer, because answering needs the whole line
-        while let Some(event) = self.deframer.feed(&Requests, &mut bytes, now) {
+        // the frame is copied out of the decoder, because answering needs the whole line
+        while let Some(event) = self.decoder.feed(&RequestFraming, &mut bytes, now) {
             if let Event::Frame(frame) = event {
                 let frame = frame.to_vec();
                 self.answer(&frame, now, &mut out);
@@ -125,7 +125,7 @@ impl<const N: usize> SerialLine for NdamLine<N> {
 
     fn poll(&mut self, now: Instant) -> Vec<u8> {
         let mut out = Vec::new();
-        if let Some(Event::Frame(frame)) = self.deframer.poll(&Requests, now) {
+        if let Some(Event::Frame(frame)) = self.decoder.poll(&RequestFraming, now) {
             let frame = frame.to_vec();
             self.answer(&frame, now, &mut out);
         }
@@ -133,6 +133,6 @@ impl<const N: usize> SerialLine for NdamLine<N> {
     }
 
     fn deadline(&self) -> Option<Instant> {
-        self.deframer.deadline()
+        self.decoder.deadline()
     }
 }

@@ -2,7 +2,7 @@ use super::{CanBus, Motion, Sensor, Wiring};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::nst::REPLY_DATA_MAX;
 use jointbus_protocol::nst::can::{Outcome, Reassembler, segment};
-use jointbus_protocol::nst::serial::REPLY_MAX;
+use jointbus_protocol::nst::serial::RESPONSE_MAX;
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -64,13 +64,13 @@ impl Node {
         let node = self.sensor.address();
         let report = self.reassembler.push(frame, now);
         let Some(Outcome::Complete { source, destination, body }) = report.outcome else { return };
-        let mut buffer = [0; REPLY_MAX];
+        let mut buffer = [0; RESPONSE_MAX];
         let reply = self.sensor.answer(body, now, |daq| {
             let mut data = [0; REPLY_DATA_MAX];
             let reply = daq.serve(destination, body, &mut data)?;
             let mut writer = Writer::new(&mut buffer);
             // the buffer holds the longest reply
-            reply.encode(&mut writer).map_err(|_| jointbus_protocol::nst::Silence::NoSpace)?;
+            reply.encode(&mut writer).map_err(|_| jointbus_protocol::nst::NoResponse::NoSpace)?;
             Ok(writer.finish())
         });
         // what does not fit a transfer can't be sent: the sensor stays silent

@@ -1,12 +1,12 @@
 use super::{Motion, Sensor, SerialLine, Wiring};
-use jointbus_protocol::deframe::{BurstDeframer, Event, STRAY_MAX};
-use jointbus_protocol::nst::serial::{REPLY_MAX, REQUEST_MAX, Requests};
+use jointbus_protocol::decode::{Event, FrameDecoder, STRAY_MAX};
+use jointbus_protocol::nst::serial::{REQUEST_MAX, RESPONSE_MAX, RequestFraming};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// NST sensors on one RS485 line. A sensor ignores what is for others; two at one address both answer.
 #[derive(Debug)]
 pub struct NstSerial {
-    deframer: BurstDeframer<{ REQUEST_MAX + STRAY_MAX }>,
+    decoder: FrameDecoder<{ REQUEST_MAX + STRAY_MAX }>,
     sensors: Vec<Sensor>,
 }
 
@@ -14,7 +14,7 @@ impl NstSerial {
     /// A line with nothing on it, on which `silence` ends what is no request.
     #[must_use]
     pub const fn new(silence: Duration) -> Self {
-        Self { deframer: BurstDeframer::new(silence), sensors: Vec::new() }
+        Self { decoder: FrameDecoder::new(silence), sensors: Vec::new() }
     }
 
     /// Puts a sensor at `address` on the line, its motion the one of that number.
@@ -46,7 +46,7 @@ fn answer(sensors: &mut [Sensor], event: Event<'_>, now: Instant, out: &mut Vec<
     let Event::Frame(frame) = event else { return };
     let body = frame.get(1..frame.len() - 2).unwrap_or_default();
     for sensor in sensors {
-        let mut reply = [0; REPLY_MAX];
+        let mut reply = [0; RESPONSE_MAX];
         let reply = sensor.answer(body, now, |daq| daq.serve_serial(frame, &mut reply).map(<[u8]>::to_vec));
         out.extend(reply.unwrap_or_default());
     }
@@ -55,7 +55,7 @@ fn answer(sensors: &mut [Sensor], event: Event<'_>, now: Instant, out: &mut Vec<
 impl SerialLine for NstSerial {
     fn receive(&mut self, mut bytes: &[u8], now: Instant) -> Vec<u8> {
         let mut out = Vec::new();
-        while let Some(event) = self.deframer.feed(&Requests, &mut bytes, now) {
+        while let Some(event) = self.decoder.feed(&RequestFraming, &mut bytes, now) {
             answer(&mut self.sensors, event, now, &mut out);
         }
         out
@@ -63,13 +63,13 @@ impl SerialLine for NstSerial {
 
     fn poll(&mut self, now: Instant) -> Vec<u8> {
         let mut out = Vec::new();
-        if let Some(event) = self.deframer.poll(&Requests, now) {
+        if let Some(event) = self.decoder.poll(&RequestFraming, now) {
             answer(&mut self.sensors, event, now, &mut out);
         }
         out
     }
 
     fn deadline(&self) -> Option<Instant> {
-        self.deframer.deadline()
+        self.decoder.deadline()
     }
 }

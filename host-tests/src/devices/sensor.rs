@@ -1,6 +1,6 @@
 use super::{Log, Motion, Order};
 use jointbus_protocol::nst::register::{self, Register};
-use jointbus_protocol::nst::{Daq, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding, Silence};
+use jointbus_protocol::nst::{Daq, NoResponse, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding};
 use jointbus_protocol::time::Instant;
 
 /// Which of its ports a sensor uses, as its channel register (4.1.10) says.
@@ -19,7 +19,7 @@ pub struct Sensor {
     motion: Motion,
     plugged: bool,
     told: Log<Sample>,
-    silences: Log<Silence>,
+    silences: Log<NoResponse>,
     orders: Log<Order>,
 }
 
@@ -78,7 +78,7 @@ impl Sensor {
 
     /// What it did not answer, and why; requests to others on its line included.
     #[must_use]
-    pub const fn silences(&self) -> &Log<Silence> {
+    pub const fn silences(&self) -> &Log<NoResponse> {
         &self.silences
     }
 
@@ -93,14 +93,14 @@ impl Sensor {
         &mut self,
         body: &[u8],
         now: Instant,
-        serve: impl FnOnce(&mut Daq<RamHardware>) -> Result<R, Silence>,
+        serve: impl FnOnce(&mut Daq<RamHardware>) -> Result<R, NoResponse>,
     ) -> Option<R> {
         if !self.plugged {
             return None;
         }
         self.daq.hardware().sample = self.motion.sample(now);
         let result = serve(&mut self.daq);
-        if matches!(result, Ok(_) | Err(Silence::Broadcast(None)))
+        if matches!(result, Ok(_) | Err(NoResponse::Broadcast(None)))
             && let Ok(request) = Request::decode(body)
         {
             if reads_all_axes(&request) {

@@ -1,4 +1,4 @@
-use jointbus_protocol::deframe::ReplySearch;
+use jointbus_protocol::decode::ResponseMatcher;
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::nst::{self, serial};
 use jointbus_protocol::{checksum, modbus};
@@ -10,9 +10,9 @@ const SEARCHED: usize = 512;
 #[derive(Debug)]
 pub(super) enum ReplyEnd {
     /// With an NST reply.
-    Nst(serial::ExpectedReply, Box<ReplySearch<SEARCHED, 1>>),
+    Nst(serial::ExpectedResponse, Box<ResponseMatcher<SEARCHED, 1>>),
     /// With a Modbus response.
-    Modbus(ExpectedResponse, Box<ReplySearch<SEARCHED, 2>>),
+    Modbus(ExpectedResponse, Box<ResponseMatcher<SEARCHED, 2>>),
     /// The burst is a broadcast: there is no reply.
     Never,
     /// The burst is not one whole request that this module knows: a pause ends its reply.
@@ -22,7 +22,7 @@ pub(super) enum ReplyEnd {
 impl ReplyEnd {
     /// How the reply to this burst ends. An NST request is never a Modbus one as well: their lengths differ.
     pub(super) fn of(burst: &[u8]) -> Self {
-        if checksum::verify(burst).is_none() {
+        if checksum::strip_crc(burst).is_none() {
             return Self::Pause;
         }
         if matches!(burst.first(), Some(&modbus::BROADCAST | &nst::BROADCAST)) {
@@ -31,7 +31,7 @@ impl ReplyEnd {
         if let Some(frame) = serial::Frame::decode(burst)
             && let Ok(request) = nst::Request::decode(frame.body)
         {
-            return Self::Nst(serial::ExpectedReply::new(frame.address, &request), Box::default());
+            return Self::Nst(serial::ExpectedResponse::new(frame.address, &request), Box::default());
         }
         if let Ok(frame) = rtu::Frame::decode(burst)
             && let Ok(request) = modbus::Request::decode(frame.pdu)
@@ -62,7 +62,7 @@ impl ReplyEnd {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use jointbus_protocol::modbus::Range;
+    use jointbus_protocol::modbus::AddressRange;
 
     #[test]
     fn whole_requests_are_known_and_their_replies_found() {
@@ -73,11 +73,11 @@ mod tests {
         }
         let mut end = ReplyEnd::of(request);
         assert!(matches!(end, ReplyEnd::Nst(..)));
-        let reply = nst::Reply::Data { function: nst::FunctionCode::Read, data: &[7; 18] };
+        let reply = nst::Response::Data { function: nst::FunctionCode::Read, data: &[7; 18] };
         let reply = serial::encode_reply(1, &reply, &mut buffer).unwrap();
         assert!(!end.is_in(&reply[..10]) && end.is_in(&reply[10..]));
 
-        let coils = modbus::Request::ReadCoils(Range::new(0, 8));
+        let coils = modbus::Request::ReadCoils(AddressRange::new(0, 8));
         let request = rtu::encode_request(32, &coils, &mut buffer).unwrap();
         let mut end = ReplyEnd::of(request);
         assert!(matches!(end, ReplyEnd::Modbus(..)));

@@ -167,7 +167,7 @@ mod tests {
         assert!(arbitration(&standard(3)) < arbitration(&extended(3 << 18, &[])));
         assert!(arbitration(&extended(3 << 18, &[])) < arbitration(&standard(4)));
         assert!(arbitration(&extended(0x0001_7F10, &[])) < arbitration(&extended(0x007F_0110, &[])));
-        let remote = Frame::from_wire(Id::Standard(3), true, 0, [0; 8]).unwrap();
+        let remote = Frame::from_parts(Id::Standard(3), true, 0, [0; 8]).unwrap();
         assert!(arbitration(&standard(3)) < arbitration(&remote));
     }
 }

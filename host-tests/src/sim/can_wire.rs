@@ -187,11 +187,11 @@ impl CanWire {
     pub fn hold_dominant(&mut self, now: Moment, end: Moment) -> Option<usize> {
         self.count_idle(now);
         self.stuck = Some(end);
-        self.free = end.after(self.bits(IDLE));
+        self.free = end.saturating_add(self.bits(IDLE));
         self.counted = end;
         let victim = self.on_wire.take()?.sender;
         // eight more for each eight dominant bits behind the error flag
-        let octets = end.since(now) / self.bits(8);
+        let octets = end.saturating_duration_since(now) / self.bits(8);
         for _ in 0..=octets {
             let controller = &mut self.controllers[victim];
             if !controller.is_bus_off() {
@@ -224,7 +224,7 @@ impl CanWire {
         // somebody wants to send who may not yet: bus-off or error passive
         let later = self.controllers.iter().filter(|it| wants(it) && !it.halted).map(|controller| {
             match controller.recovery {
-                Some(sequences) => now.after(self.bits(sequences * IDLE)),
+                Some(sequences) => now.saturating_add(self.bits(sequences * IDLE)),
                 None => controller.suspended,
             }
         });
@@ -236,7 +236,7 @@ impl CanWire {
     pub fn recovery(&self, now: Moment) -> Option<Moment> {
         let counting = self.controllers.iter().filter(|controller| !controller.halted);
         let sequences = counting.filter_map(|controller| controller.recovery).min()?;
-        Some(now.max(self.counted).after(self.bits(sequences.max(1) * IDLE)))
+        Some(now.max(self.counted).saturating_add(self.bits(sequences.max(1) * IDLE)))
     }
 
     /// Takes a frame off the wire that ends at `now`.
@@ -244,7 +244,7 @@ impl CanWire {
         let on_wire = self.on_wire.take_if(|on_wire| on_wire.end <= now)?;
         let OnWire { sender, frame, start, ending, unacknowledged, .. } = on_wire;
         self.counted = now;
-        self.free = now.after(self.bits(INTERMISSION));
+        self.free = now.saturating_add(self.bits(INTERMISSION));
         let bit = self.bit;
         match ending {
             Ending::Acknowledged { .. } => {
@@ -264,7 +264,7 @@ impl CanWire {
                 // one that is alone on the bus stays error passive for ever
                 controller.failed(!unacknowledged || controller.transmit_errors <= PASSIVE);
                 if controller.transmit_errors > PASSIVE {
-                    controller.suspended = now.after(bit * (INTERMISSION + SUSPEND));
+                    controller.suspended = now.saturating_add(bit * (INTERMISSION + SUSPEND));
                 }
                 if !unacknowledged {
                     let others =
@@ -293,18 +293,18 @@ impl CanWire {
             None => (length.whole, Ending::Acknowledged { times: 1 }),
         };
         let unacknowledged = !acknowledged && !matches!(disturbance, Some(Disturbance::Bit(_)));
-        let end = now.after(self.bits(bits));
+        let end = now.saturating_add(self.bits(bits));
         self.on_wire = Some(OnWire { sender, frame, start: now, end, ending, unacknowledged });
         end
     }
 
     /// Counts the idle sequences up to `now` for those that are bus-off.
     fn count_idle(&mut self, now: Moment) {
-        let sequences = now.since(self.counted) / self.bits(IDLE);
+        let sequences = now.saturating_duration_since(self.counted) / self.bits(IDLE);
         if sequences == 0 || self.on_wire.is_some() {
             return;
         }
-        self.counted = self.counted.after(sequences * self.bits(IDLE));
+        self.counted = self.counted.saturating_add(sequences * self.bits(IDLE));
         for controller in &mut self.controllers {
             controller.recover(sequences);
         }
@@ -328,7 +328,7 @@ mod tests {
     fn run(wire: &mut CanWire, until: Moment) -> Vec<Ended> {
         let (mut endings, mut now) = (Vec::new(), Moment::default());
         while let Some(next) = wire.start(now).or_else(|| wire.recovery(now)).filter(|next| *next <= until) {
-            now = next.max(now.after(1));
+            now = next.max(now.saturating_add(1));
             endings.extend(wire.end(now));
         }
         endings
@@ -343,7 +343,10 @@ mod tests {
         let order: Vec<_> = endings.iter().map(|ended| ended.sender).collect();
         assert_eq!(order, [2, 1, 1], "a controller sends its own in order");
         let length = can_bits::length(&endings[0].frame).whole;
-        assert_eq!(endings[1].start.since(endings[0].start), (length + INTERMISSION) * 1000);
+        assert_eq!(
+            endings[1].start.saturating_duration_since(endings[0].start),
+            (length + INTERMISSION) * 1000
+        );
     }
 
     #[test]
@@ -365,8 +368,8 @@ mod tests {
         let endings = run(&mut wire, at(10_000));
         assert_eq!(endings.len(), 33);
         assert_eq!(endings[32].ending, Ending::Acknowledged { times: 1 });
-        let off = endings[31].start.after(wire.bits(20 + ERROR_FRAME));
-        let back = endings[32].start.since(off);
+        let off = endings[31].start.saturating_add(wire.bits(20 + ERROR_FRAME));
+        let back = endings[32].start.saturating_duration_since(off);
         assert!((wire.bits(128 * IDLE)..wire.bits(130 * IDLE)).contains(&back), "{back}");
         assert_eq!(wire.controllers[0].transmit_errors, 0);
     }
@@ -396,7 +399,7 @@ mod tests {
         assert!(wire.controllers[0].outbox.is_empty());
         wire.controllers[0].outbox.push_back(frame(4));
         wire.disturbances.push_back((0, Disturbance::Bit(9)));
-        let end = wire.start(end.after(wire.bits(INTERMISSION))).unwrap();
+        let end = wire.start(end.saturating_add(wire.bits(INTERMISSION))).unwrap();
         wire.abort(0);
         assert_eq!(wire.end(end).unwrap().ending, Ending::Failed);
         assert!(wire.controllers[0].outbox.is_empty(), "it is not sent again");

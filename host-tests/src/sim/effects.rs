@@ -21,9 +21,9 @@ pub enum Counter {
     Foreign,
     /// Bytes or frames without room.
     Overruns,
-    /// Requests not sent in time.
+    /// RequestFraming not sent in time.
     Expired,
-    /// Requests refused.
+    /// RequestFraming refused.
     Refused,
     /// Times that the controller went bus-off.
     BusOff,

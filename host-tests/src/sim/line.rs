@@ -181,7 +181,7 @@ impl Line {
         let transceiver = &mut self.transceivers[sender];
         transceiver.current = transceiver.bytes.pop_front();
         transceiver.garbled = garbled;
-        transceiver.current.map(|_| now.after(self.byte))
+        transceiver.current.map(|_| now.saturating_add(self.byte))
     }
 }
 
@@ -227,7 +227,7 @@ mod tests {
         let mut random = Random::new(1);
         assert!(!line.end(0, first, &mut random).0.genuine);
         assert!(!line.end(1, other, &mut random).0.genuine);
-        assert!(!line.end(0, first.after(BYTE), &mut random).0.genuine, "it began beside the other");
+        assert!(!line.end(0, first.saturating_add(BYTE), &mut random).0.genuine, "it began beside the other");
     }
 
     #[test]

@@ -58,7 +58,7 @@ struct Broadcast {
     to: Vec<Port>,
 }
 
-/// Requests to one unit.
+/// RequestFraming to one unit.
 #[derive(Debug, Default)]
 struct Unit {
     open: Vec<Asked>,
@@ -91,7 +91,7 @@ pub struct Master {
     pub polls: bool,
     /// What was counted.
     pub tally: Tally,
-    /// Requests that may still be answered.
+    /// RequestFraming that may still be answered.
     pub open: usize,
 }
 
@@ -121,13 +121,13 @@ impl Master {
     pub fn ask(&mut self, unit: u8, question: Question, at: Moment) {
         let Some((_, route)) = self.network.route(unit) else { panic!("no route to unit {unit}") };
         let frame = question.frame(unit);
-        let expires = at.after(u64::from(route.time_to_live_ms) * MILLIS + NOTICED);
+        let expires = at.saturating_add(u64::from(route.time_to_live_ms) * MILLIS + NOTICED);
         let asked = Asked {
             question,
             body: frame[1..frame.len() - checksum::CRC_LENGTH].to_vec(),
             at,
             expires,
-            over: expires.after(answer_time(&question, route)),
+            over: expires.saturating_add(answer_time(&question, route)),
             sent: 0,
             superseded: None,
             overtaken: false,
@@ -155,10 +155,11 @@ impl Master {
                 && row.protocol.is_nst() == nst
                 && to.iter().any(|port| port.index() == port_of(row))
         });
-        let expires = at.after(row.map_or(0, |row| u64::from(row.time_to_live_ms)) * MILLIS + NOTICED);
+        let expires =
+            at.saturating_add(row.map_or(0, |row| u64::from(row.time_to_live_ms)) * MILLIS + NOTICED);
         let frame = question.frame(0);
         let body = frame[1..frame.len() - checksum::CRC_LENGTH].to_vec();
-        self.broadcasts.retain(|before| at.since(before.expires) < 1000 * MILLIS);
+        self.broadcasts.retain(|before| at.saturating_duration_since(before.expires) < 1000 * MILLIS);
         self.broadcasts.push(Broadcast { body, expires, to: to.to_vec() });
         self.tally.copies[0] += to.len() as u64;
     }
@@ -191,7 +192,7 @@ impl Master {
         }
         let frame = std::mem::take(&mut self.incoming);
         let now = world.now();
-        match checksum::verify(&frame) {
+        match checksum::strip_crc(&frame) {
             Some(content) => self.answered(unit, &content[1..], world),
             None => self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}")),
         }
@@ -217,7 +218,7 @@ impl Master {
             match asked.question.fit(remote, reply) {
                 _ if asked.overtaken || now > asked.over => {}
                 // a bus has one request in flight: the one that was sent last
-                _ if asked.superseded.is_some_and(|at| now.since(at) > BACKLOG) => {}
+                _ if asked.superseded.is_some_and(|at| now.saturating_duration_since(at) > BACKLOG) => {}
                 Fit::Right if !asked.question.token().is_none_or(done) => {
                     why = ", which nobody carried out".to_owned();
                 }
@@ -237,7 +238,8 @@ impl Master {
         }
         let Some((index, moment)) = found else {
             let port = self.network.route(unit).map_or(0, |(_, route)| port_of(route));
-            let garbled = self.garbled.get(&port).is_some_and(|at| now.since(*at) < 1000 * MILLIS);
+            let garbled =
+                self.garbled.get(&port).is_some_and(|at| now.saturating_duration_since(*at) < 1000 * MILLIS);
             // a device never says such a thing by itself
             if garbled && !is_genuine(world, remote, reply) {
                 self.tally.coincidences += 1;

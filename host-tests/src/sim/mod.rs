@@ -38,7 +38,7 @@
 //! let mut world = World::new(Settings::new(1), &mut queues);
 //! // the six axes of the sensor behind unit 16
 //! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0xC4, 0x4A]);
-//! let (end, mut reply) = (world.now().after(20 * MILLIS), Vec::new());
+//! let (end, mut reply) = (world.now().saturating_add(20 * MILLIS), Vec::new());
 //! while let Some(notice) = world.next(end) {
 //!     if let Notice::HostHears(byte) = notice {
 //!         reply.push(byte);

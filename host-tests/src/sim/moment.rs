@@ -31,13 +31,13 @@ impl Moment {
 
     /// This moment and so much more.
     #[must_use]
-    pub const fn after(self, span: Nanos) -> Self {
+    pub const fn saturating_add(self, span: Nanos) -> Self {
         Self(self.0.saturating_add(span))
     }
 
     /// The time since an earlier moment; none where that is later.
     #[must_use]
-    pub const fn since(self, earlier: Self) -> Nanos {
+    pub const fn saturating_duration_since(self, earlier: Self) -> Nanos {
         self.0.saturating_sub(earlier.0)
     }
 

@@ -4,7 +4,7 @@ use super::board::INPUTS;
 use super::random::Random;
 use super::station::{MODULES, PATTERN, SCRATCH, pattern};
 use jointbus_mcu_bridge::engine::config::{Bus, Network, Route};
-use jointbus_protocol::modbus::{self, FunctionCode, Range, rtu};
+use jointbus_protocol::modbus::{self, AddressRange, FunctionCode, rtu};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
 use jointbus_protocol::nxi6201;
 use jointbus_protocol::time::Instant;
@@ -26,10 +26,10 @@ const NOWHERE: u16 = 0x99;
 const CARD_RATE: u16 = 422;
 
 /// The bridge's input registers of its first polling slot.
-const SLOT: Range = Range::new(0x0100, 24);
+const SLOT: AddressRange = AddressRange::new(0x0100, 24);
 
 /// The bridge's input register of its health bits.
-const HEALTH: Range = Range::new(0x0009, 1);
+const HEALTH: AddressRange = AddressRange::new(0x0009, 1);
 
 /// Function codes that no module knows: those that the host's silence delimits, and three whose length is known.
 pub(super) const UNSUPPORTED: [u8; 6] = [0x41, 0x48, 0x64, 0x08, 0x16, 0x17];
@@ -241,7 +241,7 @@ impl Question {
         let data = &data[..length];
         let request = match *self {
             Self::Inputs { first, count } | Self::BoardInputs { first, count } => {
-                modbus::Request::ReadInputRegisters(Range::new(
+                modbus::Request::ReadInputRegisters(AddressRange::new(
                     ANALOG_INPUTS + u16::from(first),
                     count.into(),
                 ))
@@ -251,21 +251,21 @@ impl Question {
                 value: token,
             },
             Self::SetTwo { channel, .. } => modbus::Request::WriteMultipleRegisters {
-                range: Range::new(ANALOG_OUTPUTS + u16::from(channel), 2),
+                range: AddressRange::new(ANALOG_OUTPUTS + u16::from(channel), 2),
                 data,
             },
             Self::BoardOutput { channel, on } => modbus::Request::WriteSingleCoil {
                 address: COILS + u16::from(channel),
                 value: if on { 0xFF00 } else { 0 },
             },
-            Self::CardRate => modbus::Request::ReadHoldingRegisters(Range::new(CARD_RATE, 2)),
+            Self::CardRate => modbus::Request::ReadHoldingRegisters(AddressRange::new(CARD_RATE, 2)),
             Self::CardValue { channel, .. } => modbus::Request::WriteMultipleRegisters {
-                range: Range::new(4 + 20 * u16::from(channel), 2),
+                range: AddressRange::new(4 + 20 * u16::from(channel), 2),
                 data,
             },
             Self::Slot => modbus::Request::ReadInputRegisters(SLOT),
             Self::Health => modbus::Request::ReadInputRegisters(HEALTH),
-            Self::Nowhere => modbus::Request::ReadInputRegisters(Range::new(NOWHERE, 1)),
+            Self::Nowhere => modbus::Request::ReadInputRegisters(AddressRange::new(NOWHERE, 1)),
             Self::Unsupported { function, .. } => {
                 modbus::Request::Other { function: FunctionCode::from_code(function), data }
             }

@@ -90,7 +90,7 @@ impl Recorder {
     pub fn bytes(&mut self, interface: Interface, from_master: bool, now: Moment, bytes: &[u8]) {
         let Some(index) = (interface as usize).checked_sub(1) else { return };
         let (chunk, pause) = &self.chunks[index];
-        if chunk.from_master != from_master || now.since(chunk.last) > *pause {
+        if chunk.from_master != from_master || now.saturating_duration_since(chunk.last) > *pause {
             self.flush(index);
         }
         let (chunk, _) = &mut self.chunks[index];

@@ -14,8 +14,8 @@ use super::world::{Notice, World};
 use jointbus_mcu_bridge::engine::Counters;
 use jointbus_mcu_bridge::engine::config::{Bus, Network, Port, Protocol};
 use jointbus_mcu_bridge::io::serial::Queues;
-use jointbus_protocol::deframe::STRAY_MAX;
-use jointbus_protocol::modbus::{self, Range, rtu};
+use jointbus_protocol::decode::STRAY_MAX;
+use jointbus_protocol::modbus::{self, AddressRange, rtu};
 use jointbus_protocol::nst::serial::encode_request;
 use jointbus_protocol::{checksum, nst};
 
@@ -42,7 +42,7 @@ pub enum Manner {
 pub struct Plan {
     /// What is simulated.
     pub settings: Settings,
-    /// Requests to be asked.
+    /// RequestFraming to be asked.
     pub requests: u64,
     /// Whether the host waits.
     pub manner: Manner,
@@ -156,7 +156,7 @@ impl<'q> Run<'q> {
     pub fn to_the_end(&mut self) {
         self.start();
         while self.asked < self.plan.requests || self.master.open > 0 {
-            self.next(self.world.now().after(100 * MILLIS));
+            self.next(self.world.now().saturating_add(100 * MILLIS));
         }
         self.settle(2000 * MILLIS);
         self.account();
@@ -172,7 +172,7 @@ impl<'q> Run<'q> {
         loop {
             // one who waits loses patience at a certain moment
             let patience = self.waiting_for.and_then(|unit| self.master.patience(unit));
-            let until = patience.map_or(end, |at| end.min(at.after(1)).min(self.impatient));
+            let until = patience.map_or(end, |at| end.min(at.saturating_add(1)).min(self.impatient));
             match self.world.next(until) {
                 Some(Notice::Alarm(NEXT)) => self.waiting_for = self.next_request(),
                 Some(notice) => {
@@ -180,7 +180,7 @@ impl<'q> Run<'q> {
                     if answered.is_some() && self.waiting_for == answered {
                         self.waiting_for = None;
                         let pause = self.random.below(300 * MICROS);
-                        self.world.set_alarm(self.world.now().after(pause).max(self.silent), NEXT);
+                        self.world.set_alarm(self.world.now().saturating_add(pause).max(self.silent), NEXT);
                     }
                     return Some(notice);
                 }
@@ -203,7 +203,7 @@ impl<'q> Run<'q> {
 
     /// Lets time pass, in which nothing is asked.
     pub fn settle(&mut self, span: Nanos) {
-        let end = self.world.now().after(span);
+        let end = self.world.now().saturating_add(span);
         while let Some(notice) = self.world.next(end) {
             self.notice(&notice);
         }
@@ -215,8 +215,8 @@ impl<'q> Run<'q> {
         let end = self.world.host_sends(&question.frame(unit));
         if question.ends_with_silence() {
             self.world.host_pauses(SILENCE);
-            self.master.ask(unit, question, end.after(BURST_ENDS));
-            self.silent = end.after(SILENCE);
+            self.master.ask(unit, question, end.saturating_add(BURST_ENDS));
+            self.silent = end.saturating_add(SILENCE);
             return self.silent;
         }
         self.master.ask(unit, question, end);
@@ -228,7 +228,7 @@ impl<'q> Run<'q> {
         let answered = self.master.tally.answered;
         self.ask(unit, question);
         while let Some(over) = self.master.patience(unit) {
-            match self.world.next(over.after(1)) {
+            match self.world.next(over.saturating_add(1)) {
                 Some(notice) => {
                     self.notice(&notice);
                 }
@@ -244,8 +244,8 @@ impl<'q> Run<'q> {
         let end = self.world.host_sends(&question.frame(unit));
         if unit == nst::BROADCAST {
             self.world.host_pauses(SILENCE);
-            self.silent = end.after(SILENCE);
-            self.master.broadcast(&question, &[Port::Rs485A, Port::Can], end.after(BURST_ENDS));
+            self.silent = end.saturating_add(SILENCE);
+            self.master.broadcast(&question, &[Port::Rs485A, Port::Can], end.saturating_add(BURST_ENDS));
             return self.silent;
         }
         self.master.broadcast(&question, &[Port::Rs485B], end);
@@ -281,7 +281,7 @@ impl<'q> Run<'q> {
         let fault = faulty.then(|| self.random.pick(&self.plan.faults));
         if let Some(fault) = fault.filter(|fault| fault.place() == Place::Host) {
             let end = self.host_fault(fault);
-            self.world.set_alarm(end.after(SILENCE + self.random.below(MILLIS)), NEXT);
+            self.world.set_alarm(end.saturating_add(SILENCE + self.random.below(MILLIS)), NEXT);
             return None;
         }
         if let Some(fault) = fault {
@@ -289,20 +289,20 @@ impl<'q> Run<'q> {
         }
         if self.random.chance(self.plan.broadcast_rate) {
             let at = self.broadcast();
-            self.world.set_alarm(at.after(self.random.below(300 * MICROS)), NEXT);
+            self.world.set_alarm(at.saturating_add(self.random.below(300 * MICROS)), NEXT);
             return None;
         }
         let (unit, question) = self.next_question();
         let at = self.ask(unit, question);
         match self.plan.manner {
             Manner::Waits(patience) => {
-                self.impatient = at.after(patience * MILLIS);
+                self.impatient = at.saturating_add(patience * MILLIS);
                 return Some(unit);
             }
-            Manner::Paces(pause) => self.world.set_alarm(at.after(pause * MICROS), NEXT),
+            Manner::Paces(pause) => self.world.set_alarm(at.saturating_add(pause * MICROS), NEXT),
             Manner::Streams(longest) => {
                 let pause = self.random.between(1, longest) * MICROS;
-                self.world.set_alarm(at.after(pause), NEXT);
+                self.world.set_alarm(at.saturating_add(pause), NEXT);
             }
         }
         None
@@ -358,7 +358,7 @@ impl<'q> Run<'q> {
                 );
                 let at = self.world.host_sends(&bytes);
                 // taken when the line has been silent
-                self.master.ask(unit, question, at.after(BURST_ENDS));
+                self.master.ask(unit, question, at.saturating_add(BURST_ENDS));
                 at
             }
             Fault::HostLongPause => {
@@ -412,7 +412,7 @@ impl<'q> Run<'q> {
             tries += 1;
             let bytes = make(self);
             let coincidence = (0..=STRAY_MAX).any(|start| {
-                let end_of = |end: usize| bytes.get(start..end).and_then(checksum::verify).is_some();
+                let end_of = |end: usize| bytes.get(start..end).and_then(checksum::strip_crc).is_some();
                 let is_meant = |end: usize| end == bytes.len() && bytes.get(start..) == Some(meant);
                 // a broadcast behind stray bytes is right, and not to be taken
                 let broadcast = start > 0 && bytes.get(start).is_some_and(|byte| [0, u8::MAX].contains(byte));
@@ -483,7 +483,7 @@ impl<'q> Run<'q> {
                 encode_request(17, &request, &mut buffer).unwrap_or(&[]).to_vec()
             }
             _ => {
-                let range = Range::new(0x60, (data.len() / 2) as u16);
+                let range = AddressRange::new(0x60, (data.len() / 2) as u16);
                 let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
                 rtu::encode_request(33, &request, &mut buffer).unwrap_or(&[]).to_vec()
             }
@@ -546,7 +546,7 @@ fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
         encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
     } else {
         let request = modbus::Request::WriteMultipleRegisters {
-            range: Range::new(if unit == 247 { 0 } else { 0x60 }, 2),
+            range: AddressRange::new(if unit == 247 { 0 } else { 0x60 }, 2),
             data: &token.to_be_bytes(),
         };
         rtu::encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()

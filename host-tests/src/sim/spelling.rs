@@ -5,10 +5,10 @@ use jointbus_protocol::modbus::ascii;
 
 /// The characters of a frame with CRC. One whose CRC is wrong is spelt out whole, with a wrong LRC.
 pub(super) fn in_characters(frame: &[u8]) -> Vec<u8> {
-    let content = checksum::verify(frame).unwrap_or(frame);
+    let content = checksum::strip_crc(frame).unwrap_or(frame);
     let content = &content[..content.len().min(ascii::CONTENT_MAX)];
     let mut characters: Vec<u8> = (0..).map_while(|index| ascii::character_at(content, index)).collect();
-    if checksum::verify(frame).is_none()
+    if checksum::strip_crc(frame).is_none()
         && let [.., last, _, _] = &mut characters[..]
     {
         *last = if *last == b'0' { b'1' } else { b'0' };

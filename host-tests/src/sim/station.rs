@@ -70,7 +70,7 @@ pub struct SerialStation {
     /// When it is to be told the time; one entry of the agenda at most.
     pub(super) polled: Option<Moment>,
     /// The line speaks Modbus ASCII: what is between its characters and the device.
-    ascii: Option<ascii::Deframer>,
+    ascii: Option<ascii::Decoder>,
     replies: VecDeque<(Moment, Vec<u8>)>,
     orders_seen: u64,
 }
@@ -88,7 +88,7 @@ impl SerialStation {
     pub fn station(delay: Delay, is_ascii: bool) -> Self {
         let line =
             NdamLine::new(LAYOUT, 1, PROMPT).unwrap_or_else(|_| unreachable!("eight modules fit from 1"));
-        let ascii = is_ascii.then(ascii::Deframer::new);
+        let ascii = is_ascii.then(ascii::Decoder::new);
         Self { ascii, ..Self::new(SerialDevice::Station(Box::new(line.spelling())), delay) }
     }
 
@@ -111,8 +111,8 @@ impl SerialStation {
         }
         let reply = match (byte, &mut self.ascii) {
             (Some(byte), None) => self.line().receive(&[byte], now.instant()),
-            (Some(byte), Some(deframer)) => {
-                let frame = match deframer.feed(&mut &[byte][..]) {
+            (Some(byte), Some(decoder)) => {
+                let frame = match decoder.feed(&mut &[byte][..]) {
                     Some(ascii::Event::Frame(frame)) => spelling::sealed(&frame),
                     _ => return Vec::new(),
                 };
@@ -319,7 +319,7 @@ pub(super) fn spoil_frames(
         Id::Standard(raw) => raw.into(),
     };
     let renamed = |frame: &Frame, id: u32| {
-        Frame::from_wire(Id::Extended(id), false, frame.dlc(), *frame.payload()).unwrap_or(*frame)
+        Frame::from_parts(Id::Extended(id), false, frame.dlc(), *frame.payload()).unwrap_or(*frame)
     };
     let chosen = reply[place];
     match fault {
@@ -334,17 +334,17 @@ pub(super) fn spoil_frames(
         Fault::CanWrongDestination => reply[place] = renamed(&chosen, raw(&chosen) ^ 0x100),
         Fault::CanLongCode => {
             let code = random.between(9, 15) as u8;
-            reply[place] = Frame::from_wire(chosen.id(), false, code, *chosen.payload()).unwrap_or(chosen);
+            reply[place] = Frame::from_parts(chosen.id(), false, code, *chosen.payload()).unwrap_or(chosen);
         }
         Fault::CanQuirk => {
             let mut data = *reply[0].payload();
             if data[0] == 0x03 {
                 data[0] = 0x10;
-                reply[0] = Frame::from_wire(reply[0].id(), false, reply[0].dlc(), data).unwrap_or(reply[0]);
+                reply[0] = Frame::from_parts(reply[0].id(), false, reply[0].dlc(), data).unwrap_or(reply[0]);
             }
         }
         Fault::CanRemoteFrames => {
-            if let Ok(remote) = Frame::from_wire(chosen.id(), true, chosen.dlc(), [0; 8]) {
+            if let Ok(remote) = Frame::from_parts(chosen.id(), true, chosen.dlc(), [0; 8]) {
                 reply.insert(place, remote);
             }
         }

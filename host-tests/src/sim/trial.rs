@@ -41,9 +41,9 @@ const LOOK: u64 = 7;
 pub struct Trial {
     /// Counters of all ports at the end; before the fault they told of traffic alone.
     pub counters: [Counters; 4],
-    /// Requests.
+    /// RequestFraming.
     pub transactions: u64,
-    /// Requests without an answer.
+    /// RequestFraming without an answer.
     pub failed: u64,
     /// What must not happen to the service.
     pub service: Vec<String>,
@@ -149,11 +149,11 @@ impl<'q> Course<'q> {
     fn bring_about(&mut self) {
         if self.fault.place() == Place::Host {
             let end = self.run.host_fault(self.fault);
-            self.until(end.after(SILENCE));
+            self.until(end.saturating_add(SILENCE));
             // what is good in it is answered
-            let limit = self.run.world.now().after(1000 * MILLIS);
+            let limit = self.run.world.now().saturating_add(1000 * MILLIS);
             while self.run.master.open > 0 && self.run.world.now() < limit {
-                self.until(self.run.world.now().after(MILLIS));
+                self.until(self.run.world.now().saturating_add(MILLIS));
             }
             self.over = self.run.world.now();
             return;
@@ -165,7 +165,7 @@ impl<'q> Course<'q> {
             let most = self.random.between(1, 3) as usize;
             units.truncate(most);
         }
-        let limit = self.run.world.now().after(PATIENCE);
+        let limit = self.run.world.now().saturating_add(PATIENCE);
         loop {
             let armed = self.run.world.is_armed();
             if !armed && self.run.world.now() >= self.over {
@@ -179,7 +179,7 @@ impl<'q> Course<'q> {
             let begun = self.run.world.now();
             if armed {
                 // the fault comes about some time in this transaction
-                self.over = self.over.max(begun.after(1));
+                self.over = self.over.max(begun.saturating_add(1));
             }
             self.transaction(unit);
         }
@@ -216,7 +216,7 @@ impl<'q> Course<'q> {
             // and a probe after it
             Service::Span => 3000 * MILLIS,
         };
-        let end = self.run.world.now().after(span);
+        let end = self.run.world.now().saturating_add(span);
         loop {
             let last = self.run.world.now() >= end;
             for unit in UNITS {
@@ -251,7 +251,7 @@ impl<'q> Course<'q> {
     /// One question to a unit; whether it may fail is judged by what came before.
     fn transaction(&mut self, unit: u8) {
         let pause = self.random.below(300) * MICROS;
-        self.until(self.run.world.now().after(pause));
+        self.until(self.run.world.now().saturating_add(pause));
         let (network, route, port) =
             (self.run.world.settings().network, self.route(unit), self.port_of(unit));
         let question = loop {
@@ -266,9 +266,9 @@ impl<'q> Course<'q> {
         let attempts = if question.is_read() { u64::from(route.read_retries) + 1 } else { 1 };
         let timeout = route.timeout(question.is_read()).as_micros() * MICROS;
         let live = Nanos::from(route.time_to_live_ms) * MILLIS;
-        let limit = taken.after(live + attempts * (timeout + WIRE));
+        let limit = taken.saturating_add(live + attempts * (timeout + WIRE));
         if self.fault.place() == Place::Can && port == Some(Port::Can) {
-            (1..8).for_each(|look| self.run.world.set_alarm(taken.after(look * 3 * MILLIS), LOOK));
+            (1..8).for_each(|look| self.run.world.set_alarm(taken.saturating_add(look * 3 * MILLIS), LOOK));
         }
         let (mut sent, mut last_sent) = (0, taken);
         self.found.transactions += 1;
@@ -296,7 +296,7 @@ impl<'q> Course<'q> {
         }
         if unanswered > 0 {
             let hold_off = route.hold_off(question.is_read()).as_micros() * MICROS;
-            self.owed.insert((unit, form), last_sent.after(hold_off + NOTICED));
+            self.owed.insert((unit, form), last_sent.saturating_add(hold_off + NOTICED));
         }
         let (row, last) = self.in_a_row.entry(unit).or_default();
         *row = if failed { *row + 1 } else { 0 };
@@ -313,10 +313,9 @@ impl<'q> Course<'q> {
         // a probe that would have to wait for what is owed is none
         let owed_until = self.owed.get(&(unit, form)).copied().unwrap_or_default();
         let owed = asked < owed_until;
-        let quarantined = self
-            .in_a_row
-            .get(&unit)
-            .is_some_and(|(row, last)| *row >= 3 && asked < last.after(probe + NOTICED).max(owed_until));
+        let quarantined = self.in_a_row.get(&unit).is_some_and(|(row, last)| {
+            *row >= 3 && asked < last.saturating_add(probe + NOTICED).max(owed_until)
+        });
         let during = asked < self.over;
         // a device does one thing after the other; all modules of a station are one device
         let late = self
@@ -331,7 +330,7 @@ impl<'q> Course<'q> {
                 Service::Span => during || owed || quarantined || !std::mem::replace(&mut self.spent, true),
             };
         if !excused {
-            let after = asked.since(self.over) / MICROS;
+            let after = asked.saturating_duration_since(self.over) / MICROS;
             self.found.service.push(format!(
                 "{:.6} s: {question:?} to unit {unit}, {after} us after the fault, is not answered",
                 now.as_nanos() as f64 / 1e9
@@ -341,7 +340,7 @@ impl<'q> Course<'q> {
 
     /// Lets everything come to rest, and compares the counters of traffic.
     fn close(&mut self) {
-        self.until(self.run.world.now().after(1700 * MILLIS));
+        self.until(self.run.world.now().saturating_add(1700 * MILLIS));
         let health = std::mem::take(&mut self.run.master.health);
         self.run.ask_and_wait(BRIDGE, Question::Health);
         let [must, may] = self.fault.health();

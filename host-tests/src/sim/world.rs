@@ -260,7 +260,7 @@ impl<'q> World<'q> {
             ToSend::Byte(_) | ToSend::Unframed(_) => self.host_byte,
             ToSend::Pause(span) => *span,
         });
-        self.now.after(spans.sum())
+        self.now.saturating_add(spans.sum())
     }
 
     /// Has the host send a byte without its stop bit, behind what it has not sent yet.
@@ -341,7 +341,7 @@ impl<'q> World<'q> {
 
     /// An interrupt: the main loop takes notice a little later.
     fn interrupt(&mut self) {
-        let at = self.now.after(self.settings.latency.draw(0, &mut self.random));
+        let at = self.now.saturating_add(self.settings.latency.draw(0, &mut self.random));
         self.wake(at);
     }
 
@@ -356,7 +356,7 @@ impl<'q> World<'q> {
         self.turn = None;
         let handed = self.board.turn(self.now, &mut self.can);
         self.carry_out(&handed);
-        let tick = self.now.after(1).rounded_up(TICK);
+        let tick = self.now.saturating_add(1).rounded_up(TICK);
         if handed.again {
             self.wake(tick);
         } else if let Some(deadline) = self.board.engine.deadline() {

@@ -2,14 +2,14 @@
 
 use super::{bytes, daq, station};
 use jointbus_protocol::checksum;
-use jointbus_protocol::modbus::{ExceptionCode, Range, Request, Response, rtu};
+use jointbus_protocol::modbus::{AddressRange, ExceptionCode, Request, Response, rtu};
 use jointbus_protocol::ndam9010::register::Area;
 use jointbus_protocol::ndam9010::{CHANNELS_MAX, Layout, RamModule, Station, StationError, dispatch};
 use jointbus_protocol::nst::can::{
     FRAMES_MAX, FrameType, Identifier, Outcome, Reassembler, TRANSFER_MAX, segment,
 };
 use jointbus_protocol::nst::register::{ADDRESS, DATA};
-use jointbus_protocol::nst::{self, FunctionCode, Reply, serial};
+use jointbus_protocol::nst::{self, FunctionCode, serial};
 use jointbus_protocol::time::{Duration, Instant};
 
 #[test]
@@ -58,7 +58,7 @@ fn read_replies_have_code_03_and_10_is_a_quirk() {
     let read = nst::Request::read(DATA.first, 18);
     let mut data = [0; 18];
     let reply = daq(1).dispatch(&read, &mut data).unwrap();
-    assert!(matches!(reply, Reply::Data { function: FunctionCode::Read, .. }));
+    assert!(matches!(reply, nst::Response::Data { function: FunctionCode::Read, .. }));
 
     // as printed, with data of our own
     let mut body = vec![0x10, 0x12];
@@ -74,10 +74,13 @@ fn read_replies_have_code_03_and_10_is_a_quirk() {
         }
     }
     assert_eq!((frames.len(), &joined), (3, &body));
-    let expected = serial::ExpectedReply::new(1, &read);
-    assert!(!expected.accepts_body(&joined) && expected.accepts_quirk(&joined));
-    assert!(!expected.accepts_quirk(&joined[..19]), "the length decides");
-    assert_eq!(Reply::decode(&joined), Ok(Reply::Data { function: FunctionCode::Write, data: &body[2..] }));
+    let expected = serial::ExpectedResponse::new(1, &read);
+    assert!(!expected.accepts_body(&joined) && expected.accepts_legacy_code(&joined));
+    assert!(!expected.accepts_legacy_code(&joined[..19]), "the length decides");
+    assert_eq!(
+        nst::Response::decode(&joined),
+        Ok(nst::Response::Data { function: FunctionCode::Write, data: &body[2..] })
+    );
 }
 
 fn the_counter_has_four_bits() {
@@ -135,17 +138,18 @@ fn the_reply_to_05_repeats_the_request(printed: &str, corrected: &str) {
 }
 
 fn the_reply_to_0f_has_the_bit_address() {
-    let range = Range::new(0x0200, 10);
+    let range = AddressRange::new(0x0200, 10);
     let request = Request::WriteMultipleCoils { range, data: &[0xCD, 0x01] };
     let function = request.function();
     assert_eq!(ask(&mut module(), &request, &mut [0; 5]), Response::WriteMultiple { function, range });
-    let request = Request::WriteMultipleCoils { range: Range::new(0x0020, 10), data: &[0xCD, 0x01] };
+    let request = Request::WriteMultipleCoils { range: AddressRange::new(0x0020, 10), data: &[0xCD, 0x01] };
     assert_eq!(ask(&mut module(), &request, &mut [0; 5]), refusal(&request), "there are inputs");
 }
 
 fn analog_outputs_are_written_at_0060() {
     let mut module = module();
-    let write = |start| Request::WriteMultipleRegisters { range: Range::new(start, 1), data: &[0x12, 0x34] };
+    let write =
+        |start| Request::WriteMultipleRegisters { range: AddressRange::new(start, 1), data: &[0x12, 0x34] };
     ask(&mut module, &write(0x0020), &mut [0; 5]);
     assert_eq!((module.outputs, module.analog_outputs[0]), (0x1234, 0), "digital outputs are at 0x0020");
     module.outputs = 0;
@@ -175,7 +179,7 @@ fn bits_have_codes_01_02_05_0f() {
 fn a_register_has_two_bytes() {
     let mut module = module();
     module.inputs = 0x00A5;
-    let request = Request::ReadInputRegisters(Range::new(0, 1));
+    let request = Request::ReadInputRegisters(AddressRange::new(0, 1));
     let mut data = [0; 10];
     assert_eq!(
         ask(&mut module, &request, &mut data),
@@ -201,10 +205,10 @@ fn the_area_ends_at_007f_and_a_module_has_16() {
 fn four_registers_are_four_channels() {
     let mut module = module();
     let data = [1u16, 2, 3, 4].map(u16::to_be_bytes).concat();
-    let request = Request::WriteMultipleRegisters { range: Range::new(0x0060, 4), data: &data };
+    let request = Request::WriteMultipleRegisters { range: AddressRange::new(0x0060, 4), data: &data };
     ask(&mut module, &request, &mut [0; 5]);
     assert_eq!(module.analog_outputs[..5], [1, 2, 3, 4, 0]);
-    let short = Request::WriteMultipleRegisters { range: Range::new(0x0060, 5), data: &data };
+    let short = Request::WriteMultipleRegisters { range: AddressRange::new(0x0060, 5), data: &data };
     let refused = Response::exception(short.function(), ExceptionCode::IllegalDataValue);
     assert_eq!(ask(&mut module, &short, &mut [0; 5]), refused);
 }
@@ -220,7 +224,7 @@ fn units_end_at_247() {
 fn the_table_at_0060_is_analog_outputs() {
     let mut module = module();
     module.analog_outputs[0] = 0x0600;
-    let request = Request::ReadHoldingRegisters(Range::new(0x0060, 1));
+    let request = Request::ReadHoldingRegisters(AddressRange::new(0x0060, 1));
     let mut data = [0; 10];
     assert_eq!(
         ask(&mut module, &request, &mut data),

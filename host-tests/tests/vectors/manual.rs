@@ -2,9 +2,9 @@
 
 use super::{bytes, daq, station};
 use jointbus_protocol::can::{Frame, Id};
-use jointbus_protocol::deframe::{BurstDeframer, Event, Format, ReplySearch};
+use jointbus_protocol::decode::{Event, FrameDecoder, Framing, ResponseMatcher};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
-use jointbus_protocol::modbus::{self, Range};
+use jointbus_protocol::modbus::{self, AddressRange};
 use jointbus_protocol::nst::can::{Identifier, Outcome, Reassembler, segment};
 use jointbus_protocol::nst::{self, serial};
 use jointbus_protocol::nxi6201;
@@ -86,14 +86,14 @@ fn dirty(encode: impl FnOnce(&mut [u8]) -> usize) -> Vec<u8> {
     buffer[..length].to_vec()
 }
 
-/// A slave's deframer takes the whole frame, and no cut of it, silence or not.
-fn deframed_as_a_whole_only(format: &impl Format, frame: &[u8]) {
+/// A slave's decoder takes the whole frame, and no cut of it, silence or not.
+fn decoded_as_a_whole_only(format: &impl Framing, frame: &[u8]) {
     for cut in 0..=frame.len() {
-        let mut deframer = BurstDeframer::<300>::new(PAUSE);
+        let mut decoder = FrameDecoder::<300>::new(PAUSE);
         let mut rest = &frame[..cut];
-        let fed = matches!(deframer.feed(format, &mut rest, Instant::default()),
+        let fed = matches!(decoder.feed(format, &mut rest, Instant::default()),
             Some(Event::Frame(taken)) if taken == frame);
-        let polled = deframer.poll(format, Instant::default().after(PAUSE));
+        let polled = decoder.poll(format, Instant::default().saturating_add(PAUSE));
         assert!(!matches!(polled, Some(Event::Frame(_))), "cut at {cut}");
         assert_eq!(fed, cut == frame.len(), "cut at {cut}");
     }
@@ -108,11 +108,11 @@ fn nst_request(frame: &[u8]) {
     for cut in 0..frame.len() {
         assert!(decode(&frame[..cut]).is_none_or(|(_, request)| request.is_err()), "cut at {cut}");
     }
-    deframed_as_a_whole_only(&serial::Requests, frame);
+    decoded_as_a_whole_only(&serial::RequestFraming, frame);
 }
 
 fn nst_reply(frame: &[u8]) {
-    let decode = |frame| serial::Frame::decode(frame).map(|it| (it.address, nst::Reply::decode(it.body)));
+    let decode = |frame| serial::Frame::decode(frame).map(|it| (it.address, nst::Response::decode(it.body)));
     let (address, reply) = decode(frame).unwrap();
     let reply = reply.unwrap();
     let again = dirty(|buffer| serial::encode_reply(address, &reply, buffer).unwrap().len());
@@ -131,7 +131,7 @@ fn modbus_request(frame: &[u8]) {
     for cut in 0..frame.len() {
         assert!(!decode(&frame[..cut]).is_ok_and(|(_, request)| request.is_ok()), "cut at {cut}");
     }
-    deframed_as_a_whole_only(&rtu::Requests, frame);
+    decoded_as_a_whole_only(&rtu::RequestFraming, frame);
 }
 
 fn modbus_reply(frame: &[u8]) {
@@ -155,14 +155,14 @@ fn can_row(row: &Row) {
     let mut reassembler = Reassembler::<1>::new(destination, PAUSE);
     let report = reassembler.push(&frame, Instant::default());
     assert_eq!(report.outcome, Some(Outcome::Complete { source, destination, body: frame.data() }));
-    assert_eq!(report.irregularity, None);
+    assert_eq!(report.error, None);
     assert_eq!(segment(source, destination, frame.data()).unwrap().collect::<Vec<_>>(), [frame]);
     let encoded = dirty(|buffer| {
         let mut writer = Writer::new(buffer);
         if row.is_request {
             nst::Request::decode(frame.data()).unwrap().encode(&mut writer).unwrap();
         } else {
-            nst::Reply::decode(frame.data()).unwrap().encode(&mut writer).unwrap();
+            nst::Response::decode(frame.data()).unwrap().encode(&mut writer).unwrap();
         }
         writer.finish().len()
     });
@@ -172,7 +172,7 @@ fn can_row(row: &Row) {
         let accepted = if row.is_request {
             nst::Request::decode(body).is_ok()
         } else {
-            nst::Reply::decode(body).is_ok()
+            nst::Response::decode(body).is_ok()
         };
         assert!(!accepted, "cut at {cut}");
     }
@@ -227,12 +227,12 @@ fn master_accepts(row: &Row, request: &[u8], reply: &[u8]) {
         let found = if row.is_nst() {
             let request = serial::Frame::decode(request).unwrap();
             let wanted =
-                serial::ExpectedReply::new(request.address, &nst::Request::decode(request.body).unwrap());
-            ReplySearch::<300, 1>::default().feed(&wanted, &mut rest).map(|(_, found)| found.to_vec())
+                serial::ExpectedResponse::new(request.address, &nst::Request::decode(request.body).unwrap());
+            ResponseMatcher::<300, 1>::default().feed(&wanted, &mut rest).map(|(_, found)| found.to_vec())
         } else {
             let request = rtu::Frame::decode(request).unwrap();
             let wanted = ExpectedResponse::new(request.unit, &modbus::Request::decode(request.pdu).unwrap());
-            ReplySearch::<300, 2>::default().feed(&wanted, &mut rest).map(|(_, found)| found.to_vec())
+            ResponseMatcher::<300, 2>::default().feed(&wanted, &mut rest).map(|(_, found)| found.to_vec())
         };
         assert_eq!(found.as_deref(), (cut == reply.len()).then_some(reply), "cut at {cut}");
     }
@@ -283,7 +283,8 @@ fn devices_answer_printed_requests_with_the_printed_replies() {
 fn the_printed_reply_without_a_request_is_an_answer_as_well() {
     let rows = rows();
     let printed = rows.iter().find(|row| row.id == "ndam-ao-many-rep").unwrap();
-    let request = modbus::Request::WriteMultipleRegisters { range: Range::new(0x0060, 4), data: &[7; 8] };
+    let request =
+        modbus::Request::WriteMultipleRegisters { range: AddressRange::new(0x0060, 4), data: &[7; 8] };
     let (mut frame, mut out) = ([DIRT; 300], [DIRT; 300]);
     let frame = rtu::encode_request(1, &request, &mut frame).unwrap();
     assert_eq!(station().serve(frame, &mut out).unwrap(), bytes(&printed.hex));

@@ -1,6 +1,5 @@
 //! What waits for a bus, in which order, and which replies its devices still owe.
 
-use super::NEVER;
 use super::counters::count;
 use super::host::FRAME_MAX;
 use super::polling;
@@ -153,7 +152,8 @@ impl Backlog {
 
     /// When the next request or reply is given up.
     pub(super) fn deadline(&self) -> Instant {
-        let expires = self.queue.0.iter().fold(NEVER, |first, waiting| first.min(waiting.request.expires));
+        let expires =
+            self.queue.0.iter().fold(Instant::MAX, |first, waiting| first.min(waiting.request.expires));
         self.owed.0.iter().fold(expires, |first, owed| first.min(owed.until))
     }
 
@@ -176,7 +176,8 @@ impl Backlog {
         let former = self.last;
         self.take(remote, content, now);
         let is_copy = former.zip(self.last).is_some_and(|(former, new)| {
-            (former.remote, former.crc) == (new.remote, new.crc) && now.since(former.at) <= copy
+            (former.remote, former.crc) == (new.remote, new.crc)
+                && now.saturating_duration_since(former.at) <= copy
         });
         if !is_copy && let Some(unit) = self.owed.settle(index, now) {
             around.quarantine.answered(unit);
@@ -198,7 +199,7 @@ struct Waiting {
     place: Place,
 }
 
-/// Requests that wait for a bus.
+/// RequestFraming that wait for a bus.
 #[derive(Debug)]
 struct Queue(Vec<Waiting, QUEUE>);
 
@@ -262,8 +263,8 @@ impl OwedReplies {
     /// So many attempts at a request timed out, the last of which was `sent` then.
     pub(super) fn add(&mut self, request: &Request, expected: Expected, replies: u8, sent: Instant) {
         if replies > 0 {
-            let until = sent.after(request.hold_off.into());
-            let before = |window| until.since(sent.after(window)).into();
+            let until = sent.saturating_add(request.hold_off.into());
+            let before = |window| until.saturating_duration_since(sent.saturating_add(window)).into();
             let probed = request.probe_window().map(before);
             // a transaction starts only while there is room, and adds at most once
             let _ = self.0.push(Owed { expected, replies, until, unit: request.unit, probed });
@@ -309,7 +310,7 @@ impl OwedReplies {
     fn settle(&mut self, index: usize, now: Instant) -> Option<u8> {
         let owed = self.0.get_mut(index)?;
         owed.replies = owed.replies.saturating_sub(1);
-        let left = owed.until.since(now);
+        let left = owed.until.saturating_duration_since(now);
         let back = owed.probed.filter(|before| left > (*before).into()).map(|_| owed.unit);
         self.keep_from(Instant::default());
         back
@@ -330,7 +331,7 @@ mod tests {
         let network = Network::default();
         let (number, route) = network.route(16).unwrap();
         let asked = nst::Request::Command { function, register: 0, length: 1 };
-        let expected = Expected::Nst(nst::serial::ExpectedReply::new(unit, &asked));
+        let expected = Expected::Nst(nst::serial::ExpectedResponse::new(unit, &asked));
         let start = Instant::from_micros(0);
         Request::new(unit, function.code(), Some(expected), (Some(number), route), start)
     }

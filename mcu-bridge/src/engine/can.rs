@@ -1,13 +1,12 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
-use super::NEVER;
 use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
 use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::nst::can::{self, Irregularity, Outcome, Reassembler, Report};
-use jointbus_protocol::nst::{self, serial::ExpectedReply};
+use jointbus_protocol::nst::can::{self, Outcome, PushResult, Reassembler, ReassemblyError};
+use jointbus_protocol::nst::{self, serial::ExpectedResponse};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
 
@@ -22,7 +21,7 @@ const SHORTEST: Duration = Duration::from_millis(10);
 const LONGEST: Duration = Duration::from_millis(1000);
 
 /// Where the joined reply to a read starts among the bytes kept of it.
-const REPLY_START: usize = nst::COMMAND_LENGTH - nst::REPLY_HEADER;
+const REPLY_START: usize = nst::COMMAND_LENGTH - nst::RESPONSE_HEADER;
 
 /// When the controller returns after it went bus-off.
 #[derive(Debug)]
@@ -66,7 +65,7 @@ impl Flight {
 /// One transfer of a request.
 #[derive(Debug, Clone, Copy)]
 struct Part {
-    expected: ExpectedReply,
+    expected: ExpectedResponse,
     length: u8,
 }
 
@@ -116,8 +115,8 @@ impl CanBus {
     pub(super) fn set_off(&mut self, is_off: bool, now: Instant, around: &mut Surroundings<'_>) {
         if is_off && !self.back_off.is_off {
             count(&mut around.counters.bus_off);
-            self.back_off.restart = Some(now.after(self.back_off.next));
-            self.back_off.next = self.back_off.next.times(2).min(LONGEST);
+            self.back_off.restart = Some(now.saturating_add(self.back_off.next));
+            self.back_off.next = self.back_off.next.saturating_mul(2).min(LONGEST);
         }
         self.back_off.is_off = is_off;
     }
@@ -185,19 +184,19 @@ impl CanBus {
     /// Takes a frame that ended at `now`.
     pub(super) fn receive(&mut self, frame: &Frame, now: Instant, around: &mut Surroundings<'_>) {
         count(&mut around.counters.received);
-        let Report { outcome, irregularity } = self.reassembler.push(frame, now);
-        match irregularity {
+        let PushResult { outcome, error } = self.reassembler.push(frame, now);
+        match error {
             None => {}
-            Some(Irregularity::NotNst | Irregularity::OtherDestination) => {
+            Some(ReassemblyError::NotNst | ReassemblyError::OtherDestination) => {
                 count(&mut around.counters.foreign_or_late);
             }
-            Some(Irregularity::NoContext) => count(&mut around.counters.overruns),
+            Some(ReassemblyError::NoContext) => count(&mut around.counters.overruns),
             Some(_) => count(&mut around.counters.dropped_bursts),
         }
         let Some(Outcome::Complete { source, destination, body }) = outcome else { return };
         let Some((flight, expected, quirk, sent)) = self.flight.as_mut().and_then(|flight| {
             let expected = flight.part.expected;
-            let quirk = expected.accepts_quirk(body);
+            let quirk = expected.accepts_legacy_code(body);
             let fits = source == expected.address()
                 && destination == self.node
                 && (quirk || expected.accepts_body(body));
@@ -207,7 +206,7 @@ impl CanBus {
         }) else {
             let late = self.backlog.owed.iter().position(|owed| match owed {
                 Expected::Nst(owed) => {
-                    source == owed.address() && (owed.accepts_body(body) || owed.accepts_quirk(body))
+                    source == owed.address() && (owed.accepts_body(body) || owed.accepts_legacy_code(body))
                 }
                 Expected::Modbus(_) => false,
             });
@@ -220,7 +219,7 @@ impl CanBus {
         if quirk {
             count(&mut self.quirks);
         }
-        let data = body.get(nst::REPLY_HEADER..).unwrap_or(&[]);
+        let data = body.get(nst::RESPONSE_HEADER..).unwrap_or(&[]);
         if let Some(content) = self.backlog.content_mut(flight.transaction.place) {
             let _ = content.extend_from_slice(data);
         }
@@ -281,13 +280,13 @@ impl CanBus {
 
     /// When [`CanBus::poll`] has something to do next.
     pub(super) fn deadline(&self) -> Instant {
-        let flight = self.flight.as_ref().map_or(NEVER, |flight| match flight.phase {
+        let flight = self.flight.as_ref().map_or(Instant::MAX, |flight| match flight.phase {
             Phase::Ready => flight.transaction.request.expires,
             Phase::Sending { limit, .. } => limit,
             Phase::Waiting { deadline, .. } => deadline,
-            Phase::Aborting { .. } => NEVER,
+            Phase::Aborting { .. } => Instant::MAX,
         });
-        flight.min(self.backlog.deadline()).min(self.back_off.restart.unwrap_or(NEVER))
+        flight.min(self.backlog.deadline()).min(self.back_off.restart.unwrap_or(Instant::MAX))
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.
@@ -319,7 +318,7 @@ impl CanBus {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
                 0 => flight.transaction.request.expires,
-                _ => now.after(flight.transaction.request.timeout.into()),
+                _ => now.saturating_add(flight.transaction.request.timeout.into()),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
             if flight.transaction.unanswered > 0 {
@@ -358,7 +357,7 @@ impl CanBus {
         // what its device had begun before is a second copy of a former reply
         self.reassembler.forget(flight.part.expected.address());
         let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
-        let deadline = now.after(flight.transaction.request.timeout.into()).after(on_wire);
+        let deadline = now.saturating_add(flight.transaction.request.timeout.into()).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
     }
@@ -417,12 +416,12 @@ fn part(
     moved: u8,
     body: &mut Vec<u8, { can::TRANSFER_MAX }>,
 ) -> Option<Part> {
-    let part = can::part(&asked(content, request)?, moved)?;
+    let part = can::next_fragment(&asked(content, request)?, moved)?;
     let remote = request.expected.map_or(can::BROADCAST, |expected| expected.remote());
     body.resize(can::TRANSFER_MAX, 0).ok()?;
     let mut writer = Writer::new(body);
     part.encode(&mut writer).ok()?;
     let length = writer.finish().len();
     body.truncate(length);
-    Some(Part { expected: ExpectedReply::new(remote, &part), length: part.length() })
+    Some(Part { expected: ExpectedResponse::new(remote, &part), length: part.length() })
 }

@@ -215,7 +215,7 @@ impl Route {
     #[must_use]
     pub const fn hold_off(&self, is_read: bool) -> Duration {
         match self.hold_off_ms {
-            0 => self.timeout(is_read).times(3),
+            0 => self.timeout(is_read).saturating_mul(3),
             millis => Duration::from_millis(millis as u64),
         }
     }

@@ -8,7 +8,7 @@ use super::listener::Spelling;
 use super::quarantine::Admission;
 use super::transaction::{Expected, Request};
 use super::{Change, Core, Engine};
-use jointbus_protocol::deframe::{Event, Fault, FrameLength};
+use jointbus_protocol::decode::{DecodeError, Event, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
 use jointbus_protocol::{checksum, ndam9010, nst};
@@ -51,17 +51,19 @@ impl Core {
                 self.last_request = Some(now);
                 self.request(frame, now);
             }
-            Event::Dropped { fault, burst } => {
+            Event::Dropped { error, burst } => {
                 let unit = burst.first().copied().unwrap_or(0);
                 let known =
                     matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.router.row(unit).is_some();
-                match (known, fault) {
+                match (known, error) {
                     (false, _) => count(&mut counters.refused),
-                    (true, Fault::Checksum) => {
+                    (true, DecodeError::Checksum) => {
                         count(&mut counters.checksum_errors);
                         count(&mut counters.dropped_bursts);
                     }
-                    (true, Fault::Impossible | Fault::Incomplete) => count(&mut counters.dropped_bursts),
+                    (true, DecodeError::Impossible | DecodeError::Incomplete) => {
+                        count(&mut counters.dropped_bursts)
+                    }
                 }
             }
         }
@@ -69,7 +71,7 @@ impl Core {
 
     /// A valid frame from the host.
     fn request(&mut self, frame: &[u8], now: Instant) {
-        let Some((&unit, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else { return };
+        let Some((&unit, body)) = checksum::strip_crc(frame).and_then(<[u8]>::split_first) else { return };
         match unit {
             modbus::BROADCAST => {
                 self.broadcast_modbus(unit, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
@@ -100,7 +102,7 @@ impl Core {
             return self.refuse(unit, None);
         }
         let remote = route.remote_of(unit);
-        let expected = Expected::Nst(nst::serial::ExpectedReply::new(remote, &asked));
+        let expected = Expected::Nst(nst::serial::ExpectedResponse::new(remote, &asked));
         let function = asked.function().code();
         let request = Request::new(unit, function, Some(expected), (Some(number), &route), now);
         self.admit(&route, request, body, now);
@@ -136,7 +138,7 @@ impl Core {
             Ok(asked) => asked,
             Err(error) => {
                 let [counters, ..] = &mut self.counters;
-                let (function, exception) = modbus::server::malformed(error);
+                let (function, exception) = modbus::server::exception_for(error);
                 return self.output.refuse(counters, unit, function.code(), exception);
             }
         };

@@ -4,21 +4,21 @@ use super::config::Protocol;
 use super::counters::{Counters, count};
 use super::router::Routes;
 use heapless::Vec;
-use jointbus_protocol::deframe::{BurstDeframer, Format, FrameLength, STRAY_MAX};
+use jointbus_protocol::decode::{FrameDecoder, FrameLength, Framing, STRAY_MAX};
 use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
 use jointbus_protocol::{checksum, nst, wire};
 
 /// Longest frame of the host: NST and Modbus agree.
 pub(super) const FRAME_MAX: usize = rtu::FRAME_MAX;
-const _: () = assert!(nst::serial::REQUEST_MAX == FRAME_MAX && nst::serial::REPLY_MAX <= FRAME_MAX + 1);
+const _: () = assert!(nst::serial::REQUEST_MAX == FRAME_MAX && nst::serial::RESPONSE_MAX <= FRAME_MAX + 1);
 
 /// Frames of the host out of its bytes.
-pub(super) type HostDeframer = BurstDeframer<{ FRAME_MAX + STRAY_MAX }>;
+pub(super) type HostDeframer = FrameDecoder<{ FRAME_MAX + STRAY_MAX }>;
 
 /// The unit address selects the route, the route the codec, the codec the frame's length.
 pub(super) struct HostFormat<'a>(pub(super) Routes<'a>);
 
-impl Format for HostFormat<'_> {
+impl Framing for HostFormat<'_> {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         match prefix.first() {
             Some(&modbus::BROADCAST) => rtu::request_length(prefix),
@@ -33,7 +33,7 @@ impl Format for HostFormat<'_> {
     }
 
     fn is_valid(&self, frame: &[u8]) -> bool {
-        frame.len() >= rtu::FRAME_MIN && checksum::verify(frame).is_some()
+        frame.len() >= rtu::FRAME_MIN && checksum::strip_crc(frame).is_some()
     }
 
     fn is_broadcast(&self, frame: &[u8]) -> bool {

@@ -6,7 +6,7 @@ use super::host::FRAME_MAX;
 use super::transaction::Expected;
 use heapless::Vec;
 use jointbus_protocol::checksum;
-use jointbus_protocol::deframe::{Expectation, ReplySearch};
+use jointbus_protocol::decode::{Match, ResponseMatcher};
 use jointbus_protocol::modbus::ascii;
 
 /// Bytes that the search for a reply looks back on.
@@ -28,7 +28,7 @@ impl Wanted<'_> {
     }
 }
 
-impl Expectation<KINDS> for Wanted<'_> {
+impl Match<KINDS> for Wanted<'_> {
     fn lengths(&self) -> [usize; KINDS] {
         let mut lengths = [0; KINDS];
         let all = self.all().map(|expected| expected.map_or([0; 2], Expected::lengths));
@@ -57,21 +57,21 @@ pub(super) enum Heard<'a> {
 #[derive(Debug)]
 pub(super) enum Listener {
     /// NST and Modbus RTU, which nothing delimits: slides to what is wanted.
-    Sliding(ReplySearch<WINDOW, KINDS>),
+    Sliding(ResponseMatcher<WINDOW, KINDS>),
     /// Modbus ASCII.
-    Ascii(ascii::Deframer),
+    Ascii(ascii::Decoder),
 }
 
 impl Listener {
     pub(super) const fn new() -> Self {
-        Self::Sliding(ReplySearch::new())
+        Self::Sliding(ResponseMatcher::new())
     }
 
     /// Starts afresh.
     pub(super) fn reset(&mut self, is_ascii: bool) {
         self.discard();
         match (&self, is_ascii) {
-            (Self::Sliding(_), true) => *self = Self::Ascii(ascii::Deframer::new()),
+            (Self::Sliding(_), true) => *self = Self::Ascii(ascii::Decoder::new()),
             (Self::Ascii(_), false) => *self = Self::new(),
             _ => {}
         }
@@ -87,7 +87,7 @@ impl Listener {
                     None => Heard::Reply(content(frame)),
                 })
             }
-            Self::Ascii(deframer) => Some(match deframer.feed(bytes)? {
+            Self::Ascii(decoder) => Some(match decoder.feed(bytes)? {
                 ascii::Event::Frame(ascii::Frame { unit, pdu }) => {
                     let fits = |expected: &Expected| expected.accepts_pdu(unit, pdu);
                     match wanted.in_flight.is_some_and(fits) {
@@ -104,9 +104,9 @@ impl Listener {
     }
 
     /// The line fell silent: a reply of unknown length may end here.
-    pub(super) fn at_silence(&mut self, expected: &Expected) -> Option<&[u8]> {
+    pub(super) fn end_of_frame(&mut self, expected: &Expected) -> Option<&[u8]> {
         match self {
-            Self::Sliding(search) => search.at_silence(|frame| expected.accepts(frame)).map(content),
+            Self::Sliding(search) => search.end_of_frame(|frame| expected.accepts(frame)).map(content),
             Self::Ascii(_) => None,
         }
     }
@@ -117,9 +117,9 @@ impl Listener {
     }
 
     /// Other kinds are waited for now, perhaps by what was received already.
-    pub(super) const fn start_over(&mut self) {
+    pub(super) const fn rescan(&mut self) {
         if let Self::Sliding(search) = self {
-            search.start_over();
+            search.rescan();
         }
     }
 
@@ -131,9 +131,9 @@ impl Listener {
                 search.clear();
                 leftovers
             }
-            Self::Ascii(deframer) => {
-                let leftovers = deframer.is_inside();
-                deframer.clear();
+            Self::Ascii(decoder) => {
+                let leftovers = decoder.is_inside();
+                decoder.clear();
                 leftovers
             }
         }

@@ -98,9 +98,6 @@ struct Core {
     idle_until: Instant,
 }
 
-/// The moment of what never comes: the end of time.
-const NEVER: Instant = Instant::from_micros(u64::MAX);
-
 /// The moment of what is due already.
 const AT_ONCE: Instant = Instant::from_micros(0);
 
@@ -406,7 +403,7 @@ impl Engine {
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        Some(self.next_due()).filter(|due| *due < NEVER)
+        Some(self.next_due()).filter(|due| *due < Instant::MAX)
     }
 
     #[inline(never)] // what it needs of the stack is not needed beside what is done
@@ -414,9 +411,9 @@ impl Engine {
         let Self { host, core } = self;
         let silence = core.last_request.filter(|_| core.limits.host_silence_ms > 0);
         core.confirm_until
-            .unwrap_or(NEVER)
-            .min(silence.map_or(NEVER, |last| last.after(core.host_silence_limit())))
-            .min(host.deadline().unwrap_or(NEVER))
+            .unwrap_or(Instant::MAX)
+            .min(silence.map_or(Instant::MAX, |last| last.saturating_add(core.host_silence_limit())))
+            .min(host.deadline().unwrap_or(Instant::MAX))
             .min(core.polling.deadline())
             .min(core.rs485_a.deadline(core.live.port(Port::Rs485A)))
             .min(core.rs485_b.deadline(core.live.port(Port::Rs485B)))
@@ -482,7 +479,9 @@ impl Core {
     /// Switches the local outputs off when the host was silent for too long; only the host switches on again.
     fn host_silence(&mut self, now: Instant) {
         let limit = self.host_silence_limit();
-        if limit > Duration::ZERO && self.last_request.is_some_and(|last| now.since(last) >= limit) {
+        if limit > Duration::ZERO
+            && self.last_request.is_some_and(|last| now.saturating_duration_since(last) >= limit)
+        {
             self.last_request = None;
             let Ok(()) = self.outputs.outputs_off();
             self.io.outputs = 0;

@@ -5,9 +5,9 @@ use super::counters::Counters;
 use super::polling::Slot;
 use super::settings::{Holding, HoldingMut, STORED_LENGTH, Settings, SlotSettings};
 use super::{AT_ONCE, Change, Core, Engine};
-use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
+use jointbus_protocol::modbus::identification::{ConformityLevel, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
-use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range};
+use jointbus_protocol::modbus::{AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// Version of the register map.
@@ -99,7 +99,7 @@ const INPUT_LAST: u16 = 0x02FF;
 /// What function code 08 counts beside the host port's counters.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Diagnostics {
-    /// Requests to the bridge itself.
+    /// RequestFraming to the bridge itself.
     requests: u16,
     /// Exceptions with which it answered.
     exceptions: u16,
@@ -131,7 +131,7 @@ impl Server for Own<'_> {
 
     fn read_holding_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         out: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         let slots = self.core.slots();
@@ -144,7 +144,7 @@ impl Server for Own<'_> {
 
     fn read_input_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         out: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         if !range.within(0, INPUT_LAST) {
@@ -156,27 +156,31 @@ impl Server for Own<'_> {
         Ok(())
     }
 
-    fn write_registers(&mut self, range: Range, values: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(&mut self, range: AddressRange, values: Registers<'_>) -> Result<(), ExceptionCode> {
         self.core.write_own(range, values, self.now)
     }
 
-    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+    fn diagnostics(
+        &mut self,
+        what: DiagnosticSubfunction,
+        data: Registers<'_>,
+    ) -> Result<Option<u16>, ExceptionCode> {
         let [host, ..] = &self.core.counters;
         let Diagnostics { requests, exceptions } = self.core.diagnostics;
         let count = match what {
-            Diagnostic::ReturnQueryData => return Ok(None),
+            DiagnosticSubfunction::ReturnQueryData => return Ok(None),
             _ if data.get(0) != Some(0) => return Err(ExceptionCode::IllegalDataValue),
-            Diagnostic::ClearCounters => {
+            DiagnosticSubfunction::ClearCounters => {
                 self.core.clear_counters();
                 return Ok(None);
             }
-            Diagnostic::BusMessageCount => host.received as u16,
-            Diagnostic::BusCommunicationErrorCount => host.checksum_errors as u16,
-            Diagnostic::BusExceptionErrorCount => exceptions,
-            Diagnostic::ServerMessageCount => requests,
+            DiagnosticSubfunction::BusMessageCount => host.received as u16,
+            DiagnosticSubfunction::BusCommunicationErrorCount => host.checksum_errors as u16,
+            DiagnosticSubfunction::BusExceptionErrorCount => exceptions,
+            DiagnosticSubfunction::ServerMessageCount => requests,
             // a broadcast does not reach the bridge itself, and everything else it answers
-            Diagnostic::ServerNoResponseCount => 0,
-            Diagnostic::BusCharacterOverrunCount => host.overruns as u16,
+            DiagnosticSubfunction::ServerNoResponseCount => 0,
+            DiagnosticSubfunction::BusCharacterOverrunCount => host.overruns as u16,
             _ => return Err(ExceptionCode::IllegalFunction),
         };
         Ok(Some(count))
@@ -187,8 +191,8 @@ impl Server for Own<'_> {
         Ok(b"\xF7\xFFjointbus")
     }
 
-    fn conformity(&self) -> Conformity {
-        Conformity::RegularIndividual
+    fn conformity(&self) -> ConformityLevel {
+        ConformityLevel::RegularIndividual
     }
 
     fn identification(&self, object: ObjectId) -> Option<&[u8]> {
@@ -292,7 +296,12 @@ impl Core {
         }
     }
 
-    fn write_own(&mut self, range: Range, values: Registers<'_>, now: Instant) -> Result<(), ExceptionCode> {
+    fn write_own(
+        &mut self,
+        range: AddressRange,
+        values: Registers<'_>,
+        now: Instant,
+    ) -> Result<(), ExceptionCode> {
         let former = self.slots();
         // into copies, so that a write is all or nothing
         let (mut network, mut limits, mut slots) = (self.staged, self.limits, former);
@@ -340,7 +349,7 @@ impl Core {
                 if !self.staged.is_valid() {
                     return Err(ExceptionCode::IllegalDataValue);
                 }
-                self.confirm_until = Some(now.after(CONFIRM_WITHIN));
+                self.confirm_until = Some(now.saturating_add(CONFIRM_WITHIN));
                 self.change = Change::Apply;
             }
             command::CONFIRM => {

@@ -1,11 +1,11 @@
 //! Slots in which the bridge reads sensors by itself, on time.
 
+use super::AT_ONCE;
 use super::backlog::Content;
 use super::config::{Bus, Route};
 use super::listener::Spelling;
 use super::router::Routes;
 use super::transaction::{Expected, Origin, Request};
-use super::{AT_ONCE, NEVER};
 use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
@@ -134,7 +134,11 @@ impl Slot {
         match (self.period_100us, self.has_sample()) {
             (0, _) => SlotState::Off,
             (_, false) => SlotState::Empty,
-            _ if now.since(self.stamp) >= self.period().times(3).max(STALE_AT_LEAST) => SlotState::Stale,
+            _ if now.saturating_duration_since(self.stamp)
+                >= self.period().saturating_mul(3).max(STALE_AT_LEAST) =>
+            {
+                SlotState::Stale
+            }
             _ => SlotState::Fresh,
         }
     }
@@ -146,9 +150,9 @@ impl Slot {
             return;
         }
         // in 32 bits, which the processor divides by itself; what is later than 71 minutes is counted at the next look
-        let since = u32::try_from(now.since(self.next).as_micros()).unwrap_or(u32::MAX);
+        let since = u32::try_from(now.saturating_duration_since(self.next).as_micros()).unwrap_or(u32::MAX);
         let late = since.checked_div(u32::from(self.period_100us).wrapping_mul(100)).map_or(0, u64::from);
-        self.next = self.next.after(period.times(late.saturating_add(1)));
+        self.next = self.next.saturating_add(period.saturating_mul(late.saturating_add(1)));
         // a read that comes late, but within its period, is none that was missed
         let (progress, ended) = match self.progress {
             Progress::Idle => (Progress::Due, 0),
@@ -205,7 +209,7 @@ impl Polling {
 
     /// Sees what is due, and when something is next.
     fn look(&mut self) {
-        (self.next, self.due) = (NEVER, 0);
+        (self.next, self.due) = (Instant::MAX, 0);
         for (index, slot) in (0..).zip(&self.slots) {
             if slot.period_100us > 0 {
                 self.next = self.next.min(slot.next);
@@ -258,7 +262,7 @@ impl Polling {
             return;
         };
         slot.progress = slot.progress.done();
-        if let Some(data) = body.get(nst::REPLY_HEADER..).and_then(|data| data.first_chunk()) {
+        if let Some(data) = body.get(nst::RESPONSE_HEADER..).and_then(|data| data.first_chunk()) {
             slot.sample = Sample::decode(data, SignEncoding::TwosComplement);
             slot.stamp = now;
             slot.sequence = slot.sequence.wrapping_add(1);
@@ -278,7 +282,7 @@ impl Polling {
 
 /// The read of a slot whose unit speaks NST.
 fn request(unit: u8, index: u8, number: u8, route: &Route, now: Instant) -> Request {
-    let expected = Expected::Nst(serial::ExpectedReply::new(route.remote_of(unit), &READ));
+    let expected = Expected::Nst(serial::ExpectedResponse::new(route.remote_of(unit), &READ));
     let function = nst::FunctionCode::Read.code();
     let request = Request::new(unit, function, Some(expected), (Some(number), route), now);
     // a repeated read would be late for this period and early for the next

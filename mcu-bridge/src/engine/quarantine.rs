@@ -61,7 +61,7 @@ impl Quarantine {
 
     /// A transaction ended without an answer.
     pub(super) fn unanswered(&mut self, unit: u8, limits: &Limits, now: Instant) {
-        let probe = now.after(limits.probe_period()).into();
+        let probe = now.saturating_add(limits.probe_period()).into();
         if let Some(device) = self.0.iter_mut().find(|device| device.unit == unit) {
             device.unanswered = device.unanswered.saturating_add(1);
             if !device.is_quarantined(limits) || device.unanswered == limits.quarantine_after {
@@ -79,7 +79,7 @@ impl Quarantine {
             None => Admission::Normal,
             Some(device) if waits || now < device.probe.into() => Admission::Refused,
             Some(device) => {
-                device.probe = now.after(limits.probe_period()).into();
+                device.probe = now.saturating_add(limits.probe_period()).into();
                 Admission::Probe
             }
         }

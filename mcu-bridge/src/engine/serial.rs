@@ -1,6 +1,5 @@
 //! A bus on a serial port: one transaction in flight, half duplex.
 
-use super::NEVER;
 use super::backlog::{Backlog, Content, QueueFull};
 use super::config::PortConfig;
 use super::counters::count;
@@ -135,7 +134,7 @@ impl SerialBus {
         let [longest, other] = expected.lengths();
         let length = if expected.is_open() { FRAME_MAX } else { longest.max(other) };
         let on_wire = around.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
-        let deadline = now.after(request.timeout.into()).after(on_wire);
+        let deadline = now.saturating_add(request.timeout.into()).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
         self.discard(around);
@@ -183,7 +182,7 @@ impl SerialBus {
                     if self.is_ascii {
                         length = length.saturating_mul(2);
                     }
-                    let copy = around.port.characters(length).plus(around.port.pause());
+                    let copy = around.port.characters(length).saturating_add(around.port.pause());
                     self.backlog.settle(index, content, copy, now, around);
                 }
                 _ => count(&mut around.counters.foreign_or_late),
@@ -197,7 +196,7 @@ impl SerialBus {
     pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
         // the reply in flight may be half received: it has another place among the kinds now
         if self.backlog.owed.expire(now) {
-            self.listener.start_over();
+            self.listener.rescan();
         }
         self.end_open_reply(now, around);
         match self.flight.as_ref().map(|flight| &flight.phase) {
@@ -215,11 +214,11 @@ impl SerialBus {
 
     /// When [`SerialBus::poll`] has something to do next.
     pub(super) fn deadline(&self, port: &PortConfig) -> Instant {
-        let flight = self.flight.as_ref().map_or(NEVER, |flight| match flight.phase {
-            Phase::Ready => self.busy.after(port.gap()).min(flight.transaction.request.expires),
+        let flight = self.flight.as_ref().map_or(Instant::MAX, |flight| match flight.phase {
+            Phase::Ready => self.busy.saturating_add(port.gap()).min(flight.transaction.request.expires),
             Phase::Sending { limit, .. } => limit,
             Phase::Waiting { deadline, .. } if self.is_open_reply() => {
-                deadline.min(self.busy.after(port.pause()))
+                deadline.min(self.busy.saturating_add(port.pause()))
             }
             Phase::Waiting { deadline, .. } => deadline,
         });
@@ -247,11 +246,11 @@ impl SerialBus {
         }
         if let Some(flight) = self.flight.as_mut()
             && matches!(flight.phase, Phase::Ready)
-            && now >= self.busy.after(around.port.gap())
+            && now >= self.busy.saturating_add(around.port.gap())
         {
             let content = self.backlog.content(flight.transaction.place);
             let on_wire = around.port.characters(wire_length(self.is_ascii, content));
-            let limit = now.after(on_wire).after(TRANSMIT_LIMIT);
+            let limit = now.saturating_add(on_wire).saturating_add(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { outgoing: Outgoing::start(self.is_ascii, content), limit };
             if flight.transaction.unanswered > 0 {
                 count(&mut around.counters.retries);
@@ -312,7 +311,7 @@ impl SerialBus {
 
     /// Silence ends a reply of unknown length.
     fn end_open_reply(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if !self.is_open_reply() || now < self.busy.after(around.port.pause()) {
+        if !self.is_open_reply() || now < self.busy.saturating_add(around.port.pause()) {
             return;
         }
         let Some(Flight { transaction, phase: Phase::Waiting { sent, .. }, .. }) = self.flight.as_ref()
@@ -320,7 +319,7 @@ impl SerialBus {
             return;
         };
         let Some(expected) = &transaction.request.expected else { return };
-        match self.listener.at_silence(expected) {
+        match self.listener.end_of_frame(expected) {
             Some(content) => {
                 count(&mut around.counters.received);
                 around.answer(&transaction.request, content, *sent, self.busy);

@@ -68,7 +68,7 @@ impl Settings {
     /// host.
     #[must_use]
     pub fn decode(stored: &[u8]) -> Option<Self> {
-        let mut reader = Reader::new(checksum::verify(stored).filter(|_| stored.len() == STORED_LENGTH)?);
+        let mut reader = Reader::new(checksum::strip_crc(stored).filter(|_| stored.len() == STORED_LENGTH)?);
         if reader.u16_be().ok()? != STORED_VERSION {
             return None;
         }
@@ -111,7 +111,7 @@ impl Holding<'_> {
                 writer.u16_be(row.register(offset))?;
             }
         }
-        checksum::seal(writer)
+        checksum::append_crc(writer)
     }
 
     /// A holding register; what is not listed reads 0.

@@ -7,7 +7,7 @@ use super::host::Output;
 use super::polling::Polling;
 use super::quarantine::Quarantine;
 use super::router::Routes;
-use jointbus_protocol::deframe::Expectation;
+use jointbus_protocol::decode::Match;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
 use jointbus_protocol::nst::{self, can};
 use jointbus_protocol::time::{Duration, Instant};
@@ -16,7 +16,7 @@ use jointbus_protocol::time::{Duration, Instant};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Expected {
     Modbus(rtu::ExpectedResponse),
-    Nst(nst::serial::ExpectedReply),
+    Nst(nst::serial::ExpectedResponse),
 }
 
 impl Expected {
@@ -163,7 +163,7 @@ impl Request {
             hold_off: route.hold_off(is_read).into(),
             retries: if is_read { route.read_retries } else { 0 },
             is_split: route.bus == Bus::Can,
-            expires: now.after(Duration::from_millis(route.time_to_live_ms.into())),
+            expires: now.saturating_add(Duration::from_millis(route.time_to_live_ms.into())),
         }
     }
 
@@ -324,7 +324,7 @@ impl Surroundings<'_> {
         self.quarantine.answered(request.unit);
         let route = request.route.and_then(|number| self.reply_times.get_mut(usize::from(number)));
         if let Some(time) = route {
-            time.last = Span::from(now.since(sent)).tens();
+            time.last = Span::from(now.saturating_duration_since(sent)).tens();
             time.largest = time.largest.max(time.last);
         }
     }

@@ -375,7 +375,7 @@ mod tests {
         let mut queues = Queues::<INCOMING>::new();
         let (mut interrupt, mut main) = queues.split();
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
-            jointbus_protocol::modbus::Range::new(0, 120),
+            jointbus_protocol::modbus::AddressRange::new(0, 120),
         );
         let mut buffer = [0; 16];
         for byte in rtu::encode_request(247, &request, &mut buffer).unwrap() {
@@ -400,7 +400,7 @@ mod tests {
         let (mut interrupt, mut main) = queues.split();
         assert!(main.advances(), "there is nothing to send");
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
-            jointbus_protocol::modbus::Range::new(0, 1),
+            jointbus_protocol::modbus::AddressRange::new(0, 1),
         );
         engine.receive(Port::Host, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
         assert!(main.carry_out(&mut engine, Port::Host));
@@ -420,7 +420,7 @@ mod tests {
     fn a_frame_with_a_broken_character_is_never_taken_and_the_character_is_counted() {
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
-            jointbus_protocol::modbus::Range::new(0, 1),
+            jointbus_protocol::modbus::AddressRange::new(0, 1),
         );
         let mut buffer = [0; 16];
         let frame = rtu::encode_request(247, &request, &mut buffer).unwrap();

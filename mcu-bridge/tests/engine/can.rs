@@ -28,7 +28,7 @@ fn after_bus_off_the_controller_returns_later_each_time() {
         assert!(!world.engine.take_can_restart(off));
         world.now = restart;
         assert!(world.engine.take_can_restart(restart) && !world.engine.take_can_restart(restart), "once");
-        waited.push(restart.since(off).as_micros() / 1000);
+        waited.push(restart.saturating_duration_since(off).as_micros() / 1000);
         world.engine.set_bus_off(false, restart);
         if round == 7 {
             assert_eq!(world.nst(1, &READ, SOON), axes(1));
@@ -86,7 +86,7 @@ fn a_frame_that_is_acknowledged_while_it_is_given_up_holds_nothing_up() {
         world.engine.receive(Port::Host, &modbus(1, &request), world.now);
         let mut frame = world.engine.next_frame();
         assert!(frame.take().is_some());
-        world.now = world.now.after(Duration::from_millis(100));
+        world.now = world.now.saturating_add(Duration::from_millis(100));
         world.engine.poll(world.now);
         assert!(world.engine.wants_abort(), "its time to live has passed");
         // the frame was on the wire, and the last attempt succeeded

@@ -1,4 +1,4 @@
-//! Requests and the devices that they reach.
+//! RequestFraming and the devices that they reach.
 
 use crate::world::{World, modbus};
 use crate::{LATER, READ, SOON, axes};

@@ -70,17 +70,17 @@ impl World {
 
     /// Lets time pass, from deadline to deadline.
     pub(crate) fn pass(&mut self, span: Duration) {
-        let end = self.now.after(span);
+        let end = self.now.saturating_add(span);
         loop {
             self.settle();
             match self.engine.deadline().filter(|deadline| *deadline <= end) {
                 Some(deadline) => {
                     // buses take turns here, so one may hold another up for the length of a frame or two
                     assert!(
-                        self.now.since(deadline) < Duration::from_millis(5),
+                        self.now.saturating_duration_since(deadline) < Duration::from_millis(5),
                         "nothing is done about {deadline:?}"
                     );
-                    self.now = self.now.max(deadline).after(Duration::from_micros(1));
+                    self.now = self.now.max(deadline).saturating_add(Duration::from_micros(1));
                 }
                 None => break,
             }
@@ -193,7 +193,7 @@ impl World {
     }
 
     fn tick(&mut self, micros: u64) {
-        self.now = self.now.after(Duration::from_micros(micros));
+        self.now = self.now.saturating_add(Duration::from_micros(micros));
     }
 
     /// A request in Modbus RTU, and the data unit of the response; empty for silence.

@@ -212,20 +212,20 @@ enum State {
 /// A colon always starts a frame; characters between frames are passed over. It needs no clock: a frame that never
 /// ends costs nothing until the next colon.
 #[derive(Debug)]
-pub struct Deframer {
+pub struct Decoder {
     buffer: [u8; CONTENT_MAX + 1],
     used: usize,
     state: State,
 }
 
-impl Default for Deframer {
+impl Default for Decoder {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Deframer {
-    /// A deframer that waits for a colon.
+impl Decoder {
+    /// A decoder that waits for a colon.
     #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; CONTENT_MAX + 1], used: 0, state: State::Idle }
@@ -308,18 +308,18 @@ error_text! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::modbus::{FunctionCode, Range};
+    use crate::modbus::{AddressRange, FunctionCode};
     use std::vec::Vec;
 
-    const READ: Request<'_> = Request::ReadCoils(Range::new(0, 1));
+    const READ: Request<'_> = Request::ReadCoils(AddressRange::new(0, 1));
 
     /// What comes out, whatever the pieces are in which it goes in.
     fn run(characters: &[u8]) -> Vec<Result<(u8, Vec<u8>), FrameError>> {
         let mut results: Vec<Vec<_>> = Vec::new();
         for piece in [1, 2, 3, 7, 1000] {
-            let (mut deframer, mut found) = (Deframer::new(), Vec::new());
+            let (mut decoder, mut found) = (Decoder::new(), Vec::new());
             for mut chunk in characters.chunks(piece) {
-                while let Some(event) = deframer.feed(&mut chunk) {
+                while let Some(event) = decoder.feed(&mut chunk) {
                     found.push(match event {
                         Event::Frame(frame) => Ok((frame.unit, frame.pdu.to_vec())),
                         Event::Dropped(error) => Err(error),

@@ -1,7 +1,7 @@
 use super::identification;
-use super::{Diagnostic, FunctionCode, PDU_MAX, Request, bytes_of_bits};
+use super::{DiagnosticSubfunction, FunctionCode, PDU_MAX, Request, packed_len};
 use crate::checksum;
-use crate::deframe::{Expectation, FrameLength};
+use crate::decode::{FrameLength, Match};
 
 /// What a master remembers of a request to know the response: unit, function code, length, and for writes what they
 /// echo of the request.
@@ -108,7 +108,7 @@ impl ExpectedResponse {
     pub fn accepts(&self, frame: &[u8]) -> bool {
         frame.len().checked_sub(OVERHEAD).is_some()
             && frame.first() == Some(&self.unit)
-            && checksum::verify(frame)
+            && checksum::strip_crc(frame)
                 .and_then(|content| content.get(1..))
                 .is_some_and(|pdu| self.accepts_pdu(pdu))
     }
@@ -170,7 +170,7 @@ impl Shape {
     fn of(request: &Request<'_>) -> Self {
         match *request {
             Request::ReadCoils(range) | Request::ReadDiscreteInputs(range) => {
-                Self::data(bytes_of_bits(range.quantity))
+                Self::data(packed_len(range.quantity))
             }
             Request::ReadHoldingRegisters(range)
             | Request::ReadInputRegisters(range)
@@ -187,7 +187,7 @@ impl Shape {
                 let ([a, b], [c, d], [e, f]) = (address.to_be_bytes(), and.to_be_bytes(), or.to_be_bytes());
                 Self::Echo { head: [a, b, c, d, e, f], echoed: 6, more: 0 }
             }
-            Request::Diagnostics { what, data } => Self::diagnostics(what, data),
+            Request::Diagnostics { subfunction, data } => Self::diagnostics(subfunction, data),
             Request::ReadExceptionStatus => Self::Plain(1),
             Request::GetCommEventCounter => Self::Plain(4),
             Request::GetCommEventLog | Request::ReportServerId => Self::Counted,
@@ -209,13 +209,13 @@ impl Shape {
     }
 
     /// A response has the length of its request; all but counters and the register come back as they were sent.
-    fn diagnostics(what: Diagnostic, data: &[u8]) -> Self {
-        use Diagnostic as D;
-        let [high, low] = what.code().to_be_bytes();
+    fn diagnostics(subfunction: DiagnosticSubfunction, data: &[u8]) -> Self {
+        use DiagnosticSubfunction as D;
+        let [high, low] = subfunction.code().to_be_bytes();
         let mut head = [high, low, 0, 0, 0, 0];
         head.iter_mut().skip(2).zip(data).for_each(|(place, byte)| *place = *byte);
         let Ok(length) = u8::try_from(data.len()) else { return Self::Refusal };
-        let known = match what {
+        let known = match subfunction {
             D::ForceListenOnly => return Self::Refusal,
             D::Unknown(_) => return Self::Open,
             D::ReturnQueryData
@@ -238,7 +238,7 @@ impl Shape {
 }
 
 /// The response itself, then an exception.
-impl Expectation<2> for ExpectedResponse {
+impl Match<2> for ExpectedResponse {
     fn lengths(&self) -> [usize; 2] {
         let pdu = match self.shape {
             Shape::Data(count) => 2usize.saturating_add(count.into()),
@@ -260,23 +260,26 @@ impl Expectation<2> for ExpectedResponse {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::modbus::identification::{Category, Conformity, Identification, ObjectId, Objects};
+    use crate::modbus::identification::{
+        ConformityLevel, Identification, ObjectId, Objects, ReadDeviceIdCode,
+    };
     use crate::modbus::rtu::{FRAME_MAX, encode_response};
-    use crate::modbus::{ExceptionCode, Range, Response};
+    use crate::modbus::{AddressRange, ExceptionCode, Response};
 
     #[test]
     fn only_the_response_to_the_request_is_accepted() {
         let mut buffer = [0; FRAME_MAX];
-        let request = Request::WriteMultipleRegisters { range: Range::new(0x60, 2), data: &[0, 1, 0, 2] };
+        let request =
+            Request::WriteMultipleRegisters { range: AddressRange::new(0x60, 2), data: &[0, 1, 0, 2] };
         let expected = ExpectedResponse::new(5, &request);
         let function = FunctionCode::WriteMultipleRegisters;
-        let right = Response::WriteMultiple { function, range: Range::new(0x60, 2) };
+        let right = Response::WriteMultiple { function, range: AddressRange::new(0x60, 2) };
         let refused = Response::exception(function, ExceptionCode::ServerDeviceBusy);
         for (unit, response, fits) in [
             (5, right, true),
             (6, right, false),
-            (5, Response::WriteMultiple { function, range: Range::new(0x60, 3) }, false),
-            (5, Response::WriteMultiple { function, range: Range::new(0x61, 2) }, false),
+            (5, Response::WriteMultiple { function, range: AddressRange::new(0x60, 3) }, false),
+            (5, Response::WriteMultiple { function, range: AddressRange::new(0x61, 2) }, false),
             (5, refused, true),
             (4, refused, false),
             (5, Response::exception(FunctionCode::ReadCoils, ExceptionCode::ServerDeviceBusy), false),
@@ -291,7 +294,7 @@ mod tests {
 
     #[test]
     fn responses_to_reads_are_known_by_their_length() {
-        let expected = ExpectedResponse::new(1, &Request::ReadInputRegisters(Range::new(0, 2)));
+        let expected = ExpectedResponse::new(1, &Request::ReadInputRegisters(AddressRange::new(0, 2)));
         assert_eq!(expected.lengths(), [9, 5]);
         let mut buffer = [0; FRAME_MAX];
         for bytes in 0..=250 {
@@ -300,28 +303,37 @@ mod tests {
             let frame = encode_response(1, &response, &mut buffer).unwrap();
             assert_eq!(expected.accepts(frame), bytes == 4);
         }
-        let impossible = ExpectedResponse::new(1, &Request::ReadCoils(Range::new(0, 2009)));
+        let impossible = ExpectedResponse::new(1, &Request::ReadCoils(AddressRange::new(0, 2009)));
         assert_eq!(impossible.lengths(), [0, 5]);
-        assert_eq!(ExpectedResponse::new(1, &Request::ReadCoils(Range::new(0, 2008))).lengths(), [256, 5]);
+        assert_eq!(
+            ExpectedResponse::new(1, &Request::ReadCoils(AddressRange::new(0, 2008))).lengths(),
+            [256, 5]
+        );
     }
 
     #[test]
     fn the_rarer_function_codes() {
         let objects = Objects::new(&[0, 2, 7, 7]).unwrap();
-        let identification =
-            Identification { category: Category::Basic, conformity: Conformity::Basic, next: None, objects };
-        let query = |what, data| Request::Diagnostics { what, data };
-        let answer = |what, data| Response::Diagnostics { what, data };
+        let identification = Identification {
+            category: ReadDeviceIdCode::Basic,
+            conformity: ConformityLevel::Basic,
+            next: None,
+            objects,
+        };
+        let query = |subfunction, data| Request::Diagnostics { subfunction, data };
+        let answer = |subfunction, data| Response::Diagnostics { subfunction, data };
         let read_write = Request::ReadWriteMultipleRegisters {
-            read: Range::new(0, 1),
-            write: Range::new(0, 1),
+            read: AddressRange::new(0, 1),
+            write: AddressRange::new(0, 1),
             data: &[0, 0],
         };
         let read = |data| Response::Read { function: FunctionCode::ReadWriteMultipleRegisters, data };
         let mask = Request::MaskWriteRegister { address: 1, and: 2, or: 3 };
-        let device =
-            Request::ReadDeviceIdentification { category: Category::Basic, object: ObjectId::VendorName };
-        use Diagnostic::{BusMessageCount, ForceListenOnly, ReturnQueryData};
+        let device = Request::ReadDeviceIdentification {
+            category: ReadDeviceIdCode::Basic,
+            object: ObjectId::VendorName,
+        };
+        use DiagnosticSubfunction::{BusMessageCount, ForceListenOnly, ReturnQueryData};
         let mut buffer = [0; FRAME_MAX];
         for (request, response, fits, length) in [
             (Request::ReadExceptionStatus, Response::ExceptionStatus(9), true, 5),

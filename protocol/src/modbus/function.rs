@@ -104,7 +104,7 @@ code_table! {
 
 code_table! {
     /// What function code 08 is to do (6.8.1).
-    Diagnostic: u16 {
+    DiagnosticSubfunction: u16 {
         /// Return query data
         ReturnQueryData = 0x0000,
         /// Restart communications option

@@ -1,7 +1,7 @@
 //! Device identification: function code 2B with MEI type 0E (6.21).
 
 use crate::codes::code_table;
-use crate::deframe::FrameLength;
+use crate::decode::FrameLength;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
 /// MEI type of a device identification.
@@ -15,7 +15,7 @@ pub const OBJECT_MAX: usize = super::PDU_MAX - RESPONSE_HEADER - 2;
 
 code_table! {
     /// Which objects are asked for: read device ID code.
-    Category {
+    ReadDeviceIdCode {
         /// Objects 00 to 02, as a stream
         Basic = 0x01,
         /// Objects 00 to 7F, as a stream
@@ -27,7 +27,7 @@ code_table! {
     }
 }
 
-impl Category {
+impl ReadDeviceIdCode {
     /// The last object of a stream of this category; `None` for individual access and for what is unknown.
     #[must_use]
     pub const fn last_object(self) -> Option<ObjectId> {
@@ -62,7 +62,7 @@ code_table! {
 
 code_table! {
     /// What a device offers.
-    Conformity {
+    ConformityLevel {
         /// Basic, as a stream only
         Basic = 0x01,
         /// Regular, as a stream only
@@ -78,7 +78,7 @@ code_table! {
     }
 }
 
-impl Conformity {
+impl ConformityLevel {
     /// Whether objects can be read one by one.
     #[must_use]
     pub const fn is_individual(self) -> bool {
@@ -87,8 +87,8 @@ impl Conformity {
 
     /// The widest stream that is offered.
     #[must_use]
-    pub const fn category(self) -> Category {
-        Category::from_code(self.code() & 0x7F)
+    pub const fn category(self) -> ReadDeviceIdCode {
+        ReadDeviceIdCode::from_code(self.code() & 0x7F)
     }
 }
 
@@ -97,9 +97,9 @@ impl Conformity {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identification<'a> {
     /// What was asked.
-    pub category: Category,
+    pub category: ReadDeviceIdCode,
     /// What the device offers.
-    pub conformity: Conformity,
+    pub conformity: ConformityLevel,
     /// The object with which to go on; `None` where this was the last of a stream.
     pub next: Option<ObjectId>,
     /// The objects.
@@ -115,8 +115,8 @@ impl<'a> Identification<'a> {
         };
         let objects = Objects::decode(count, reader)?;
         Ok(Self {
-            category: Category::from_code(category),
-            conformity: Conformity::from_code(conformity),
+            category: ReadDeviceIdCode::from_code(category),
+            conformity: ConformityLevel::from_code(conformity),
             next,
             objects,
         })
@@ -216,8 +216,8 @@ mod tests {
         let Ok(response @ Response::DeviceIdentification(identification)) = Response::decode(PRINTED) else {
             panic!("a device identification")
         };
-        assert_eq!(identification.category, Category::Basic);
-        assert_eq!(identification.conformity, Conformity::Basic);
+        assert_eq!(identification.category, ReadDeviceIdCode::Basic);
+        assert_eq!(identification.conformity, ConformityLevel::Basic);
         assert_eq!(identification.next, None);
         let objects: Vec<_> = identification.objects.collect();
         assert_eq!(
@@ -266,6 +266,6 @@ mod tests {
         let Ok(Response::DeviceIdentification(identification)) = Response::decode(&pdu) else { panic!() };
         assert_eq!(identification.next, Some(ObjectId::Unknown(0x80)));
         assert!(identification.conformity.is_individual());
-        assert_eq!(identification.conformity.category(), Category::Extended);
+        assert_eq!(identification.conformity.category(), ReadDeviceIdCode::Extended);
     }
 }

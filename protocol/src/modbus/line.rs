@@ -3,23 +3,23 @@
 use core::ops::RangeInclusive;
 
 use super::rtu::{self, ExpectedResponse, FRAME_MAX, Frame, request_length};
-use super::{BROADCAST, FunctionCode, Request, bytes_of_bits};
+use super::{BROADCAST, FunctionCode, Request, packed_len};
 use crate::checksum;
-use crate::deframe::{BurstDeframer, Event, Fault, Format, FrameLength};
+use crate::decode::{self, DecodeError, FrameDecoder, FrameLength, Framing};
 use crate::time::{Duration, Instant};
 
 /// What was heard on the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Heard<'a> {
+pub enum Event<'a> {
     /// A request to one of our units, or to all: a whole, valid frame.
     Request(&'a [u8]),
     /// A request to another server, or its response: to be counted at most.
-    Passed(&'a [u8]),
+    Foreign(&'a [u8]),
     /// Something was wrong; silence has ended it.
     Dropped {
         /// What was wrong first.
-        fault: Fault,
+        error: DecodeError,
         /// What came until silence, as far as it was kept.
         burst: &'a [u8],
     },
@@ -27,10 +27,10 @@ pub enum Heard<'a> {
 
 /// RTU frames out of the bytes of a line with several servers, of which some units are ours.
 ///
-/// Requests to other servers and their responses are told apart and passed over, each as soon as it is complete, so
+/// RequestFraming to other servers and their responses are told apart and passed over, each as soon as it is complete, so
 /// that nothing in them is ever taken for a request to us; a server that does not answer is not waited for. After
 /// anything wrong nothing is taken until silence. Stray bytes in front of a frame are not forgiven, as
-/// [`BurstDeframer`] does on a line of one's own: the data of a response starts too early for that.
+/// [`FrameDecoder`] does on a line of one's own: the data of a response starts too early for that.
 ///
 /// After power-up and after anything wrong the next frame of another server may be a response to a request that was not
 /// heard, and is judged as such too.
@@ -42,8 +42,8 @@ pub enum Heard<'a> {
 /// silence between frames that Modbus demands, but for such a pair: a request sent again in the middle of which the
 /// response to the first one could end, or the other way round.
 #[derive(Debug)]
-pub struct SharedLine {
-    deframer: BurstDeframer<FRAME_MAX>,
+pub struct MultidropDecoder {
+    decoder: FrameDecoder<FRAME_MAX>,
     parties: Parties,
 }
 
@@ -66,35 +66,35 @@ enum Due {
     Unknown,
 }
 
-impl SharedLine {
+impl MultidropDecoder {
     /// A line on which `units` are ours and `silence` ends a frame: 3.5 characters, or 1.75 ms above 19200 baud
     /// ("Modbus over Serial Line", 2.5.1.1), or more where bytes come late.
     #[must_use]
     pub const fn new(units: RangeInclusive<u8>, silence: Duration) -> Self {
         let parties = Parties { first: *units.start(), last: *units.end(), due: Due::Unknown };
-        Self { deframer: BurstDeframer::new(silence), parties }
+        Self { decoder: FrameDecoder::new(silence), parties }
     }
 
     /// Changes the silence that ends a frame.
     pub const fn set_silence(&mut self, silence: Duration) {
-        self.deframer.set_silence(silence);
+        self.decoder.set_silence(silence);
     }
 
     /// When silence will end what has been received so far; `None` while nothing is pending.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        self.deframer.deadline()
+        self.decoder.deadline()
     }
 
     /// Takes bytes that ended at `now` until something was heard or none are left; call again while something was.
-    pub fn feed(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Heard<'_>> {
-        let event = self.deframer.feed(&self.parties, bytes, now)?;
+    pub fn feed(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Event<'_>> {
+        let event = self.decoder.feed(&self.parties, bytes, now)?;
         Some(self.parties.judge(event))
     }
 
     /// Tells the time, so that silence is noticed.
-    pub fn poll(&mut self, now: Instant) -> Option<Heard<'_>> {
-        let event = self.deframer.poll(&self.parties, now)?;
+    pub fn poll(&mut self, now: Instant) -> Option<Event<'_>> {
+        let event = self.decoder.poll(&self.parties, now)?;
         Some(self.parties.judge(event))
     }
 }
@@ -104,22 +104,22 @@ impl Parties {
         unit == BROADCAST || (self.first <= unit && unit <= self.last)
     }
 
-    fn judge<'a>(&mut self, event: Event<'a>) -> Heard<'a> {
+    fn judge<'a>(&mut self, event: decode::Event<'a>) -> Event<'a> {
         let frame = match event {
-            Event::Frame(frame) => frame,
+            decode::Event::Frame(frame) => frame,
             // silence ended the shorter one of two frames that it could have been
-            Event::Dropped { fault: Fault::Incomplete, burst } if self.is_whole(burst) => burst,
-            Event::Dropped { fault, burst } => {
+            decode::Event::Dropped { error: DecodeError::Incomplete, burst } if self.is_whole(burst) => burst,
+            decode::Event::Dropped { error, burst } => {
                 self.due = Due::Unknown;
-                return Heard::Dropped { fault, burst };
+                return Event::Dropped { error, burst };
             }
         };
         let Ok(Frame { unit, pdu }) = Frame::decode(frame) else {
-            return Heard::Dropped { fault: Fault::Checksum, burst: frame };
+            return Event::Dropped { error: DecodeError::Checksum, burst: frame };
         };
         let due = core::mem::replace(&mut self.due, Due::Nothing);
         if self.are_meant(unit) {
-            return Heard::Request(frame);
+            return Event::Request(frame);
         }
         let is_response = match due {
             Due::Nothing => false,
@@ -135,7 +135,7 @@ impl Parties {
                 Err(_) => Due::Unknown,
             };
         }
-        Heard::Passed(frame)
+        Event::Foreign(frame)
     }
 
     /// Whether a burst is a frame of another server, valid at one of the lengths that it can have.
@@ -144,7 +144,7 @@ impl Parties {
         let [request, response] = self.lengths(burst);
         burst.first().is_some_and(|unit| !self.are_meant(*unit))
             && (request == exactly || response == exactly)
-            && checksum::verify(burst).is_some()
+            && checksum::strip_crc(burst).is_some()
     }
 
     /// Length of the frame that starts with `prefix`, as a request and as the response that is due.
@@ -173,7 +173,7 @@ fn counts_wrong(prefix: &[u8]) -> bool {
     let Some([_, function, _, _, high, low, count]) = prefix.first_chunk::<7>() else { return false };
     let quantity = u16::from_be_bytes([*high, *low]);
     match FunctionCode::from_code(*function) {
-        FunctionCode::WriteMultipleCoils => bytes_of_bits(quantity) != usize::from(*count),
+        FunctionCode::WriteMultipleCoils => packed_len(quantity) != usize::from(*count),
         FunctionCode::WriteMultipleRegisters => quantity.checked_mul(2) != Some(u16::from(*count)),
         _ => false,
     }
@@ -182,7 +182,7 @@ fn counts_wrong(prefix: &[u8]) -> bool {
 /// What is left of the longer frame can hold no other one if it has at most so many bytes.
 const HARMLESS: usize = rtu::FRAME_MIN - 1;
 
-impl Format for Parties {
+impl Framing for Parties {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         use FrameLength::{AtLeast, Exactly, Impossible, UntilSilence};
         let [request, response] = match prefix.first() {
@@ -195,7 +195,7 @@ impl Format for Parties {
             (Exactly(a) | AtLeast(a), Exactly(b) | AtLeast(b)) => (a.min(b), a.max(b)),
         };
         let used = prefix.len();
-        let is_frame = [request, response].contains(&Exactly(used)) && checksum::verify(prefix).is_some();
+        let is_frame = [request, response].contains(&Exactly(used)) && checksum::strip_crc(prefix).is_some();
         match used {
             _ if used < short => AtLeast(short),
             _ if is_frame && long.saturating_sub(used) <= HARMLESS => Exactly(used),

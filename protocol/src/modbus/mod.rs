@@ -14,7 +14,7 @@ pub mod server;
 pub mod tcp;
 
 pub use expected::ExpectedResponse;
-pub use function::{Diagnostic, ExceptionCode, FunctionCode};
+pub use function::{DiagnosticSubfunction, ExceptionCode, FunctionCode};
 pub use request::{Request, RequestError};
 pub use response::{Response, ResponseError};
 
@@ -48,14 +48,14 @@ pub const COIL_OFF: u16 = 0x0000;
 /// A run of coils, inputs or registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Range {
+pub struct AddressRange {
     /// Address of the first, as on the wire (counted from 0).
     pub start: u16,
     /// How many.
     pub quantity: u16,
 }
 
-impl Range {
+impl AddressRange {
     /// A run of `quantity` from `start`.
     #[must_use]
     pub const fn new(start: u16, quantity: u16) -> Self {
@@ -97,12 +97,12 @@ pub fn bit(data: &[u8], index: u16) -> bool {
 
 /// Bytes that so many packed bits take.
 #[must_use]
-pub const fn bytes_of_bits(quantity: u16) -> usize {
+pub const fn packed_len(quantity: u16) -> usize {
     quantity.div_ceil(8) as usize
 }
 
 /// What function code 16 makes of a register (6.16).
 #[must_use]
-pub const fn masked(value: u16, and: u16, or: u16) -> u16 {
+pub const fn apply_mask(value: u16, and: u16, or: u16) -> u16 {
     value & and | or & !and
 }

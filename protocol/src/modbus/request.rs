@@ -1,5 +1,5 @@
-use super::identification::{self, Category, ObjectId};
-use super::{Diagnostic, FunctionCode, Range};
+use super::identification::{self, ObjectId, ReadDeviceIdCode};
+use super::{AddressRange, DiagnosticSubfunction, FunctionCode};
 use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
@@ -8,13 +8,13 @@ use crate::wire::{NoSpace, Reader, Truncated, Writer};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request<'a> {
     /// 0x01 (6.1).
-    ReadCoils(Range),
+    ReadCoils(AddressRange),
     /// 0x02 (6.2).
-    ReadDiscreteInputs(Range),
+    ReadDiscreteInputs(AddressRange),
     /// 0x03 (6.3).
-    ReadHoldingRegisters(Range),
+    ReadHoldingRegisters(AddressRange),
     /// 0x04 (6.4).
-    ReadInputRegisters(Range),
+    ReadInputRegisters(AddressRange),
     /// 0x05 (6.5).
     WriteSingleCoil {
         /// Address of the coil.
@@ -34,8 +34,8 @@ pub enum Request<'a> {
     /// 0x08 (6.8).
     Diagnostics {
         /// What is to be done.
-        what: Diagnostic,
-        /// Its data, two bytes but for [`Diagnostic::ReturnQueryData`], which may have any number.
+        subfunction: DiagnosticSubfunction,
+        /// Its data, two bytes but for [`DiagnosticSubfunction::ReturnQueryData`], which may have any number.
         data: &'a [u8],
     },
     /// 0x0B (6.9).
@@ -45,14 +45,14 @@ pub enum Request<'a> {
     /// 0x0F (6.11).
     WriteMultipleCoils {
         /// The coils.
-        range: Range,
+        range: AddressRange,
         /// Packed bits, as many bytes as the byte count said; that count need not fit the quantity.
         data: &'a [u8],
     },
     /// 0x10 (6.12).
     WriteMultipleRegisters {
         /// The registers.
-        range: Range,
+        range: AddressRange,
         /// Register values, as many bytes as the byte count said; that count need not fit the quantity.
         data: &'a [u8],
     },
@@ -70,16 +70,16 @@ pub enum Request<'a> {
     /// 0x17 (6.17): writes, then reads.
     ReadWriteMultipleRegisters {
         /// The registers to be read.
-        read: Range,
+        read: AddressRange,
         /// The registers to be written.
-        write: Range,
+        write: AddressRange,
         /// Register values, as many bytes as the byte count said; that count need not fit the quantity.
         data: &'a [u8],
     },
     /// 0x2B with MEI type 0x0E (6.21).
     ReadDeviceIdentification {
         /// Which objects.
-        category: Category,
+        category: ReadDeviceIdCode,
         /// The first, or the only one.
         object: ObjectId,
     },
@@ -125,9 +125,10 @@ impl<'a> Request<'a> {
             | F::WriteMultipleCoils
             | F::WriteMultipleRegisters => return Self::decode_basic(function, reader),
             F::ReadExceptionStatus => Self::ReadExceptionStatus,
-            F::Diagnostics => {
-                Self::Diagnostics { what: Diagnostic::from_code(reader.u16_be()?), data: rest(&mut reader)? }
-            }
+            F::Diagnostics => Self::Diagnostics {
+                subfunction: DiagnosticSubfunction::from_code(reader.u16_be()?),
+                data: rest(&mut reader)?,
+            },
             F::GetCommEventCounter => Self::GetCommEventCounter,
             F::GetCommEventLog => Self::GetCommEventLog,
             F::ReportServerId => Self::ReportServerId,
@@ -144,7 +145,7 @@ impl<'a> Request<'a> {
             F::EncapsulatedInterface if reader.rest().first() == Some(&identification::MEI_TYPE) => {
                 let [_, category, object] = reader.array()?;
                 Self::ReadDeviceIdentification {
-                    category: Category::from_code(category),
+                    category: ReadDeviceIdCode::from_code(category),
                     object: ObjectId::from_code(object),
                 }
             }
@@ -158,7 +159,7 @@ impl<'a> Request<'a> {
     #[inline]
     pub(super) fn decode_basic(function: FunctionCode, mut reader: Reader<'a>) -> Result<Self, Truncated> {
         use FunctionCode as F;
-        let range @ Range { start, quantity } = range(&mut reader)?;
+        let range @ AddressRange { start, quantity } = range(&mut reader)?;
         let request = match function {
             F::ReadCoils => Self::ReadCoils(range),
             F::ReadDiscreteInputs => Self::ReadDiscreteInputs(range),
@@ -192,8 +193,8 @@ impl<'a> Request<'a> {
             | Self::GetCommEventCounter
             | Self::GetCommEventLog
             | Self::ReportServerId => Ok(()),
-            Self::Diagnostics { what, data } => {
-                writer.u16_be(what.code())?;
+            Self::Diagnostics { subfunction, data } => {
+                writer.u16_be(subfunction.code())?;
                 writer.slice(data)
             }
             Self::WriteMultipleCoils { range, data } | Self::WriteMultipleRegisters { range, data } => {
@@ -248,8 +249,8 @@ impl<'a> Request<'a> {
     }
 }
 
-pub(super) fn range(reader: &mut Reader<'_>) -> Result<Range, Truncated> {
-    Ok(Range { start: reader.u16_be()?, quantity: reader.u16_be()? })
+pub(super) fn range(reader: &mut Reader<'_>) -> Result<AddressRange, Truncated> {
+    Ok(AddressRange { start: reader.u16_be()?, quantity: reader.u16_be()? })
 }
 
 pub(super) fn counted<'a>(reader: &mut Reader<'a>) -> Result<&'a [u8], Truncated> {
@@ -261,7 +262,7 @@ pub(super) fn rest<'a>(reader: &mut Reader<'a>) -> Result<&'a [u8], Truncated> {
     reader.slice(reader.rest().len())
 }
 
-pub(super) fn write_range(writer: &mut Writer<'_>, range: Range) -> Result<(), NoSpace> {
+pub(super) fn write_range(writer: &mut Writer<'_>, range: AddressRange) -> Result<(), NoSpace> {
     writer.u16_be(range.start)?;
     writer.u16_be(range.quantity)
 }
@@ -289,7 +290,10 @@ mod tests {
             (&[0x07], Request::ReadExceptionStatus, true),
             (
                 &[0x08, 0, 0, 0xA5, 0x37],
-                Request::Diagnostics { what: Diagnostic::ReturnQueryData, data: &[0xA5, 0x37] },
+                Request::Diagnostics {
+                    subfunction: DiagnosticSubfunction::ReturnQueryData,
+                    data: &[0xA5, 0x37],
+                },
                 false,
             ),
             (&[0x0B], Request::GetCommEventCounter, true),
@@ -302,15 +306,18 @@ mod tests {
             (
                 &[0x17, 0, 3, 0, 6, 0, 0x0E, 0, 3, 6, 0, 0xFF, 0, 0xFF, 0, 0xFF],
                 Request::ReadWriteMultipleRegisters {
-                    read: Range::new(3, 6),
-                    write: Range::new(14, 3),
+                    read: AddressRange::new(3, 6),
+                    write: AddressRange::new(14, 3),
                     data: &[0, 0xFF, 0, 0xFF, 0, 0xFF],
                 },
                 false,
             ),
             (
                 &[0x2B, 0x0E, 1, 0],
-                Request::ReadDeviceIdentification { category: Category::Basic, object: ObjectId::VendorName },
+                Request::ReadDeviceIdentification {
+                    category: ReadDeviceIdCode::Basic,
+                    object: ObjectId::VendorName,
+                },
                 true,
             ),
             (
@@ -367,6 +374,6 @@ mod tests {
                 assert!(!request.is_read());
             }
         }
-        assert_eq!(Diagnostic::from_code(0x0013), Diagnostic::Unknown(0x0013));
+        assert_eq!(DiagnosticSubfunction::from_code(0x0013), DiagnosticSubfunction::Unknown(0x0013));
     }
 }

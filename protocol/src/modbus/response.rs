@@ -1,6 +1,6 @@
 use super::identification::{self, Identification};
 use super::request::{counted, range, rest, write_counted, write_range};
-use super::{Diagnostic, ExceptionCode, FunctionCode, Range};
+use super::{AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode};
 use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
@@ -29,7 +29,7 @@ pub enum Response<'a> {
     /// Answer to 0x08.
     Diagnostics {
         /// What was done.
-        what: Diagnostic,
+        subfunction: DiagnosticSubfunction,
         /// A counter or register in two bytes, or the request's data again.
         data: &'a [u8],
     },
@@ -37,7 +37,7 @@ pub enum Response<'a> {
     CommEventCounter {
         /// 0xFFFF while a program command is under way, else 0.
         status: u16,
-        /// Requests that were carried out, but for those of this kind and refused ones.
+        /// RequestFraming that were carried out, but for those of this kind and refused ones.
         events: u16,
     },
     /// Answer to 0x0C.
@@ -56,7 +56,7 @@ pub enum Response<'a> {
         /// Function code of the request.
         function: FunctionCode,
         /// What was written.
-        range: Range,
+        range: AddressRange,
     },
     /// Answer to 0x11: the server's ID, a run indicator (0x00 or 0xFF) and more, in the device's own layout.
     ServerId(&'a [u8]),
@@ -123,9 +123,10 @@ impl<'a> Response<'a> {
                 Self::WriteSingle { function, address: reader.u16_be()?, value: reader.u16_be()? }
             }
             F::ReadExceptionStatus => Self::ExceptionStatus(reader.u8()?),
-            F::Diagnostics => {
-                Self::Diagnostics { what: Diagnostic::from_code(reader.u16_be()?), data: rest(&mut reader)? }
-            }
+            F::Diagnostics => Self::Diagnostics {
+                subfunction: DiagnosticSubfunction::from_code(reader.u16_be()?),
+                data: rest(&mut reader)?,
+            },
             F::GetCommEventCounter => {
                 Self::CommEventCounter { status: reader.u16_be()?, events: reader.u16_be()? }
             }
@@ -198,8 +199,8 @@ impl<'a> Response<'a> {
                 writer.u16_be(value)
             }
             Self::ExceptionStatus(status) => writer.u8(status),
-            Self::Diagnostics { what, data } => {
-                writer.u16_be(what.code())?;
+            Self::Diagnostics { subfunction, data } => {
+                writer.u16_be(subfunction.code())?;
                 writer.slice(data)
             }
             Self::CommEventCounter { status, events } => {
@@ -250,7 +251,10 @@ mod tests {
             (&[0x07, 0x6D], Response::ExceptionStatus(0x6D)),
             (
                 &[0x08, 0, 0, 0xA5, 0x37],
-                Response::Diagnostics { what: Diagnostic::ReturnQueryData, data: &[0xA5, 0x37] },
+                Response::Diagnostics {
+                    subfunction: DiagnosticSubfunction::ReturnQueryData,
+                    data: &[0xA5, 0x37],
+                },
             ),
             (&[0x0B, 0xFF, 0xFF, 1, 8], Response::CommEventCounter { status: 0xFFFF, events: 0x0108 }),
             (

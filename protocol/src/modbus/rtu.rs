@@ -2,7 +2,7 @@
 
 use super::{FunctionCode, Request, Response, identification};
 use crate::checksum;
-use crate::deframe::{Format, FrameLength};
+use crate::decode::{FrameLength, Framing};
 use crate::error::error_text;
 use crate::wire::NoSpace;
 
@@ -46,8 +46,10 @@ impl<'a> Frame<'a> {
         if frame.len() < FRAME_MIN || frame.len() > FRAME_MAX {
             return Err(FrameError::Length);
         }
-        let (unit, pdu) =
-            checksum::verify(frame).ok_or(FrameError::Checksum)?.split_first().ok_or(FrameError::Length)?;
+        let (unit, pdu) = checksum::strip_crc(frame)
+            .ok_or(FrameError::Checksum)?
+            .split_first()
+            .ok_or(FrameError::Length)?;
         Ok(Self { unit: *unit, pdu })
     }
 }
@@ -117,11 +119,11 @@ fn with_byte_count(prefix: &[u8], at: usize) -> FrameLength {
     }
 }
 
-/// Requests to one unit of a line that has no other: what a slave without neighbours receives.
+/// RequestFraming to one unit of a line that has no other: what a slave without neighbours receives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Requests;
+pub struct RequestFraming;
 
-impl Format for Requests {
+impl Framing for RequestFraming {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         request_length(prefix)
     }

@@ -139,20 +139,20 @@ fn encode(
 
 /// Frames out of a connection, for both ends: requests and responses look alike.
 #[derive(Debug)]
-pub struct Deframer {
+pub struct Decoder {
     buffer: [u8; FRAME_MAX],
     used: usize,
     delivered: bool,
     fault: Option<FrameError>,
 }
 
-impl Default for Deframer {
+impl Default for Decoder {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Deframer {
+impl Decoder {
     /// For a connection that was just opened.
     #[must_use]
     pub const fn new() -> Self {
@@ -217,7 +217,7 @@ error_text! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::modbus::{FunctionCode, Range};
+    use crate::modbus::{AddressRange, FunctionCode};
     use std::vec::Vec;
 
     type Found = (u16, u8, Vec<u8>);
@@ -226,10 +226,10 @@ mod tests {
     fn run(stream: &[u8]) -> (Vec<Found>, Option<FrameError>) {
         let mut results = Vec::new();
         for piece in [1, 2, 3, 5, 6, 7, 8, 13, 100_000] {
-            let (mut deframer, mut found, mut fault) = (Deframer::new(), Vec::new(), None);
+            let (mut decoder, mut found, mut fault) = (Decoder::new(), Vec::new(), None);
             for mut chunk in stream.chunks(piece) {
                 loop {
-                    match deframer.feed(&mut chunk) {
+                    match decoder.feed(&mut chunk) {
                         Ok(Some(frame)) => found.push((frame.transaction, frame.unit, frame.pdu.to_vec())),
                         Ok(None) => break assert!(chunk.is_empty()),
                         Err(error) => break fault = Some(error),
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn a_request_goes_both_ways() {
-        let request = Request::ReadHoldingRegisters(Range::new(4, 1));
+        let request = Request::ReadHoldingRegisters(AddressRange::new(4, 1));
         let mut buffer = [0xEE; FRAME_MAX];
         let frame = encode_request(0x1501, 0xFF, &request, &mut buffer).unwrap();
         assert_eq!(frame, [0x15, 0x01, 0, 0, 0, 6, 0xFF, 3, 0, 4, 0, 1]);
@@ -301,11 +301,11 @@ mod tests {
 
     #[test]
     fn an_error_stays_until_the_next_connection() {
-        let mut deframer = Deframer::new();
+        let mut decoder = Decoder::new();
         let good = [0, 1, 0, 0, 0, 2, 9, 7];
-        assert_eq!(deframer.feed(&mut &[0, 1, 0, 9, 0, 2, 9, 7][..]), Err(FrameError::Protocol(9)));
-        assert_eq!(deframer.feed(&mut &good[..]), Err(FrameError::Protocol(9)));
-        deframer.clear();
-        assert_eq!(deframer.feed(&mut &good[..]), Ok(Some(Frame { transaction: 1, unit: 9, pdu: &[7] })));
+        assert_eq!(decoder.feed(&mut &[0, 1, 0, 9, 0, 2, 9, 7][..]), Err(FrameError::Protocol(9)));
+        assert_eq!(decoder.feed(&mut &good[..]), Err(FrameError::Protocol(9)));
+        decoder.clear();
+        assert_eq!(decoder.feed(&mut &good[..]), Ok(Some(Frame { transaction: 1, unit: 9, pdu: &[7] })));
     }
 }

@@ -1,7 +1,7 @@
 use super::register::{AREA_BITS, AREA_REGISTERS, Area};
 use crate::error::error_text;
 use crate::modbus::server::{Failure, RegisterWriter, complete, data_unit, reading, written};
-use crate::modbus::{COIL_OFF, COIL_ON, ExceptionCode, Range, Request, bit, bytes_of_bits, registers};
+use crate::modbus::{AddressRange, COIL_OFF, COIL_ON, ExceptionCode, Request, bit, packed_len, registers};
 use crate::wire::{NoSpace, Writer};
 
 /// Most channels of one kind in a module.
@@ -175,11 +175,11 @@ pub(super) fn answer(
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
             written(code, [address, value], writer)?;
-            Ok(write_bits(module, Range::new(address, 1), &bit)?)
+            Ok(write_bits(module, AddressRange::new(address, 1), &bit)?)
         }
         Request::WriteSingleRegister { address, value } => {
             written(code, [address, value], writer)?;
-            Ok(write_registers(module, Range::new(address, 1), &value.to_be_bytes())?)
+            Ok(write_registers(module, AddressRange::new(address, 1), &value.to_be_bytes())?)
         }
         Request::WriteMultipleCoils { range, data } => {
             written(code, [range.start, range.quantity], writer)?;
@@ -223,7 +223,7 @@ const fn mask(channels: u8) -> u16 {
 }
 
 /// Where in its area a run of registers starts; all of it must be present.
-fn locate_registers(module: &impl Module, range: Range) -> Result<(Area, u8), ExceptionCode> {
+fn locate_registers(module: &impl Module, range: AddressRange) -> Result<(Area, u8), ExceptionCode> {
     if range.quantity == 0 || range.quantity > AREA_REGISTERS {
         return Err(ExceptionCode::IllegalDataValue);
     }
@@ -237,7 +237,7 @@ fn locate_registers(module: &impl Module, range: Range) -> Result<(Area, u8), Ex
 }
 
 /// Where in its area a run of bits starts; all of it must lie in present registers.
-fn locate_bits(module: &impl Module, range: Range) -> Result<(Area, u16), ExceptionCode> {
+fn locate_bits(module: &impl Module, range: AddressRange) -> Result<(Area, u16), ExceptionCode> {
     if range.quantity == 0 || range.quantity > AREA_BITS {
         return Err(ExceptionCode::IllegalDataValue);
     }
@@ -262,11 +262,11 @@ fn digital(module: &mut impl Module, area: Area) -> Result<u16, ExceptionCode> {
 fn read_bits(
     module: &mut impl Module,
     code: u8,
-    range: Range,
+    range: AddressRange,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     let (area, first) = locate_bits(module, range)?;
-    let data = reading(code, bytes_of_bits(range.quantity), writer)?;
+    let data = reading(code, packed_len(range.quantity), writer)?;
     let bits = digital(module, area)?.checked_shr(first.into()).unwrap_or(0) & mask_of(range.quantity);
     // no more than sixteen bits are ever present
     for (byte, value) in data.iter_mut().zip(bits.to_le_bytes()) {
@@ -283,7 +283,7 @@ fn mask_of(quantity: u16) -> u16 {
 fn read_registers(
     module: &mut impl Module,
     code: u8,
-    range: Range,
+    range: AddressRange,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     let (area, first) = locate_registers(module, range)?;
@@ -297,8 +297,8 @@ fn read_registers(
     Ok(complete(values.remaining() == 0)?)
 }
 
-fn write_bits(module: &mut impl Module, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
-    if data.len() != bytes_of_bits(range.quantity) {
+fn write_bits(module: &mut impl Module, range: AddressRange, data: &[u8]) -> Result<(), ExceptionCode> {
+    if data.len() != packed_len(range.quantity) {
         return Err(ExceptionCode::IllegalDataValue);
     }
     let (area, first) = locate_bits(module, range)?;
@@ -313,7 +313,7 @@ fn write_bits(module: &mut impl Module, range: Range, data: &[u8]) -> Result<(),
     Ok(module.set_digital_outputs(shift(mask_of(range.quantity)) & present, shift(value))?)
 }
 
-fn write_registers(module: &mut impl Module, range: Range, data: &[u8]) -> Result<(), ExceptionCode> {
+fn write_registers(module: &mut impl Module, range: AddressRange, data: &[u8]) -> Result<(), ExceptionCode> {
     if data.len() != usize::from(range.quantity).saturating_mul(2) {
         return Err(ExceptionCode::IllegalDataValue);
     }

@@ -190,7 +190,7 @@ impl Settings {
             writer.u8(text.length)?;
             writer.slice(&text.bytes)?;
         }
-        checksum::seal(writer)
+        checksum::append_crc(writer)
     }
 
     /// Reads the stored form.
@@ -198,7 +198,7 @@ impl Settings {
     /// # Errors
     /// [`SettingsError`] where it is damaged or its settings don't fit.
     pub fn decode(stored: &[u8; STORED_LENGTH]) -> Result<Self, SettingsError> {
-        let content = checksum::verify(stored).ok_or(SettingsError::Stored)?;
+        let content = checksum::strip_crc(stored).ok_or(SettingsError::Stored)?;
         let settings = Self::read(&mut Reader::new(content)).ok_or(SettingsError::Stored)?;
         settings.check()?;
         Ok(settings)

@@ -1,6 +1,6 @@
 use super::{MODULES_MAX, Module, UNIT_MAX, dispatcher};
 use crate::error::error_text;
-use crate::modbus::server::{Audience, Failure, Silence, serve_ascii, serve_rtu};
+use crate::modbus::server::{Destination, Failure, NoResponse, serve_ascii, serve_rtu};
 use crate::modbus::{BROADCAST, Request, ascii};
 use crate::wire::Writer;
 
@@ -48,8 +48,8 @@ impl<M: Module, const N: usize> Station<M, N> {
     /// Answers an RTU frame into `out`.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
-    pub fn serve<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
+    /// [`NoResponse`]: why there is no answer.
+    pub fn serve<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
         let (start, modules) = (self.start_id, &mut self.modules);
         serve_rtu(
             frame,
@@ -62,12 +62,12 @@ impl<M: Module, const N: usize> Station<M, N> {
     /// Answers a frame of Modbus ASCII into `out`: the whole frame in characters.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
+    /// [`NoResponse`]: why there is no answer.
     pub fn serve_ascii<'b>(
         &mut self,
         frame: &ascii::Frame<'_>,
         out: &'b mut [u8],
-    ) -> Result<&'b [u8], Silence> {
+    ) -> Result<&'b [u8], NoResponse> {
         let (start, modules) = (self.start_id, &mut self.modules);
         serve_ascii(
             frame,
@@ -83,11 +83,11 @@ fn place(start: u8, unit: u8) -> Option<usize> {
     unit.checked_sub(start).map(usize::from)
 }
 
-fn audience(start: u8, modules: usize, unit: u8) -> Audience {
+fn audience(start: u8, modules: usize, unit: u8) -> Destination {
     match place(start, unit) {
-        _ if unit == BROADCAST => Audience::Broadcast,
-        Some(place) if place < modules => Audience::Unit,
-        _ => Audience::Other,
+        _ if unit == BROADCAST => Destination::Broadcast,
+        Some(place) if place < modules => Destination::Unit,
+        _ => Destination::Other,
     }
 }
 
@@ -160,14 +160,14 @@ mod tests {
         assert_eq!(station.modules().each_ref().map(|module| module.outputs), [0, 1, 0]);
         for unit in [4, 8] {
             let sent = rtu::encode_request(unit, &request, &mut frame).unwrap();
-            assert_eq!(station.serve(sent, &mut out), Err(Silence::OtherUnit));
+            assert_eq!(station.serve(sent, &mut out), Err(NoResponse::OtherUnit));
         }
         let sent = rtu::encode_request(0, &request, &mut frame).unwrap();
-        assert_eq!(station.serve(sent, &mut out), Err(Silence::Broadcast(None)));
+        assert_eq!(station.serve(sent, &mut out), Err(NoResponse::Broadcast(None)));
         assert_eq!(station.modules().each_ref().map(|module| module.outputs), [1, 1, 1]);
-        let read = Request::ReadCoils(crate::modbus::Range::new(0x0200, 1));
+        let read = Request::ReadCoils(crate::modbus::AddressRange::new(0x0200, 1));
         let sent = rtu::encode_request(0, &read, &mut frame).unwrap();
-        assert_eq!(station.serve(sent, &mut out), Err(Silence::BroadcastRead));
+        assert_eq!(station.serve(sent, &mut out), Err(NoResponse::BroadcastRead));
     }
 
     #[test]
@@ -181,8 +181,8 @@ mod tests {
         assert_eq!(station.serve_ascii(&frame, &mut out), Ok(sent));
         assert_eq!(station.modules().each_ref().map(|module| module.outputs), [0, 1, 0]);
         let frame = ascii::Frame { unit: 9, ..frame };
-        assert_eq!(station.serve_ascii(&frame, &mut out), Err(Silence::OtherUnit));
+        assert_eq!(station.serve_ascii(&frame, &mut out), Err(NoResponse::OtherUnit));
         let response = ascii::Frame { unit: 6, pdu: &[0x83, 2] };
-        assert_eq!(station.serve_ascii(&response, &mut out), Err(Silence::NoRequest));
+        assert_eq!(station.serve_ascii(&response, &mut out), Err(NoResponse::NoRequest));
     }
 }

@@ -25,7 +25,7 @@ const KNOWN_TYPES: u16 = 1 << FrameType::Single.code()
 const FRAME_DATA_MAX: usize = 8;
 
 /// Most data bytes that one read moves.
-pub const READ_MAX: usize = TRANSFER_MAX - super::REPLY_HEADER;
+pub const READ_MAX: usize = TRANSFER_MAX - super::RESPONSE_HEADER;
 
 /// Most data bytes that one write moves.
 pub const WRITE_MAX: usize = TRANSFER_MAX - super::COMMAND_LENGTH;
@@ -92,7 +92,7 @@ pub struct TransferLength;
 /// The request that moves what one transfer can hold of `request`, behind the first `moved` bytes; `None` when all has
 /// been moved. A command that moves nothing is one transfer.
 #[must_use]
-pub fn part<'a>(request: &Request<'a>, moved: u8) -> Option<Request<'a>> {
+pub fn next_fragment<'a>(request: &Request<'a>, moved: u8) -> Option<Request<'a>> {
     let (length, reads) = (request.length(), request.function().is_read());
     if moved > 0 && moved >= length {
         return None;
@@ -172,7 +172,7 @@ impl Iterator for Segments<'_> {
 /// Why a transfer, or a frame of none, was dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Irregularity {
+pub enum ReassemblyError {
     /// Not an extended data frame with bits 28:24 zero.
     NotNst,
     /// For another node than this one, or than the frames before it: that transfer is dropped.
@@ -213,11 +213,11 @@ pub enum Outcome<'a> {
 /// What [`Reassembler::push`] says of a frame: what came of it, and what was wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Report<'a> {
+pub struct PushResult<'a> {
     /// What the frame brought; `None` where it brought nothing.
     pub outcome: Option<Outcome<'a>>,
     /// What was irregular; a new first frame can be taken and yet end another transfer.
-    pub irregularity: Option<Irregularity>,
+    pub error: Option<ReassemblyError>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -283,22 +283,22 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
     }
 
     /// Takes a frame that ended at `now`.
-    pub fn push(&mut self, frame: &Frame, now: Instant) -> Report<'_> {
+    pub fn push(&mut self, frame: &Frame, now: Instant) -> PushResult<'_> {
         let raw = match frame.id() {
             Id::Extended(raw) if !frame.is_remote() => raw,
-            _ => return Report::wrong(Irregularity::NotNst),
+            _ => return PushResult::wrong(ReassemblyError::NotNst),
         };
         // `Identifier` by its bits: a branch for each frame type would be half of this function
         let [0, source, destination, format] = raw.to_be_bytes() else {
-            return Report::wrong(Irregularity::NotNst);
+            return PushResult::wrong(ReassemblyError::NotNst);
         };
         if destination != self.node && destination != BROADCAST {
-            return Report::wrong(Irregularity::OtherDestination);
+            return PushResult::wrong(ReassemblyError::OtherDestination);
         }
         let (frame_type, counter) = (format >> 4, format & 0x0F);
         if KNOWN_TYPES >> frame_type & 1 == 0 {
             self.forget(source);
-            return Report::wrong(Irregularity::UnknownType);
+            return PushResult::wrong(ReassemblyError::UnknownType);
         }
         let starts = frame_type & (FrameType::Single.code() | FrameType::First.code()) != 0;
         let ends = frame_type & (FrameType::Single.code() | FrameType::Last.code()) != 0;
@@ -312,44 +312,48 @@ impl<const CONTEXTS: usize> Reassembler<CONTEXTS> {
             mine => mine,
         };
         let Some(context) = place.and_then(|index| self.contexts.get_mut(index)) else {
-            return Report::wrong(if starts { Irregularity::NoContext } else { Irregularity::NoFirst });
+            return PushResult::wrong(if starts {
+                ReassemblyError::NoContext
+            } else {
+                ReassemblyError::NoFirst
+            });
         };
         let expected = if starts { 0 } else { context.counter };
-        let irregularity = if !starts && context.is_overdue(limit, now) {
-            Some(Irregularity::Late)
+        let error = if !starts && context.is_overdue(limit, now) {
+            Some(ReassemblyError::Late)
         } else if !starts && destination != context.destination {
-            Some(Irregularity::OtherDestination)
+            Some(ReassemblyError::OtherDestination)
         } else if counter != expected {
-            Some(Irregularity::Counter)
+            Some(ReassemblyError::Counter)
         } else if frame.dlc() == 0 || (frame.dlc() < 8 && !ends) {
-            Some(Irregularity::Length)
+            Some(ReassemblyError::Length)
         } else {
             None
         };
         // sixteen frames fill the body exactly, and the counter has no seventeenth
         let place = context.body.get_mut(usize::from(counter));
-        let (None, Some(place)) = (irregularity, place) else {
+        let (None, Some(place)) = (error, place) else {
             context.counter = 0;
-            return Report { outcome: None, irregularity };
+            return PushResult { outcome: None, error };
         };
         *place = *frame.payload();
         (context.source, context.destination) = (source, destination);
         context.last = now;
-        let irregularity = (starts && mine.is_some()).then_some(Irregularity::Restarted);
+        let error = (starts && mine.is_some()).then_some(ReassemblyError::Restarted);
         if !ends {
             context.counter = counter.wrapping_add(1);
-            return Report { outcome: Some(Outcome::More), irregularity };
+            return PushResult { outcome: Some(Outcome::More), error };
         }
         context.counter = 0;
         let length = usize::from(counter).wrapping_mul(FRAME_DATA_MAX).wrapping_add(frame.data().len());
         let body = context.body.as_flattened().get(..length).unwrap_or(&[]);
-        Report { outcome: Some(Outcome::Complete { source, destination, body }), irregularity }
+        PushResult { outcome: Some(Outcome::Complete { source, destination, body }), error }
     }
 }
 
-impl Report<'_> {
-    const fn wrong(irregularity: Irregularity) -> Self {
-        Self { outcome: None, irregularity: Some(irregularity) }
+impl PushResult<'_> {
+    const fn wrong(error: ReassemblyError) -> Self {
+        Self { outcome: None, error: Some(error) }
     }
 }
 
@@ -404,7 +408,7 @@ mod tests {
             let write = Request::Write { register: 0x10, data: &data[..length.into()] };
             for request in [Request::read(0x10, length), write] {
                 let (mut moved, mut parts) = (0u8, 0);
-                while let Some(part) = part(&request, moved) {
+                while let Some(part) = next_fragment(&request, moved) {
                     assert_eq!(part.register(), 0x10 + u16::from(moved));
                     assert!(part.length() <= if part.function().is_read() { 126 } else { 124 });
                     moved += part.length();
@@ -418,8 +422,8 @@ mod tests {
         }
         let command =
             Request::Command { function: super::super::FunctionCode::SetZero, register: 0, length: 200 };
-        assert_eq!(part(&command, 0), Some(command));
-        assert_eq!(part(&command, 200), None);
+        assert_eq!(next_fragment(&command, 0), Some(command));
+        assert_eq!(next_fragment(&command, 200), None);
     }
 
     #[test]
@@ -448,32 +452,32 @@ mod tests {
     #[test]
     fn every_irregularity_has_its_name() {
         let cut = frames(1, 2, &[7; 24]);
-        let check = |frames: &[(Frame, u64)], expected: Irregularity| {
+        let check = |frames: &[(Frame, u64)], expected: ReassemblyError| {
             let mut reassembler = Reassembler::<1>::new(2, LIMIT);
             let mut last = None;
             for (frame, millis) in frames {
-                last = reassembler.push(frame, at(*millis)).irregularity;
+                last = reassembler.push(frame, at(*millis)).error;
             }
             assert_eq!(last, Some(expected));
         };
         let raw = |raw: u32, data: &[u8]| Frame::data_frame(Id::Extended(raw), data).unwrap();
-        check(&[(Frame::data_frame(Id::Standard(1), &[1]).unwrap(), 0)], Irregularity::NotNst);
-        check(&[(raw(0x0101_0210, &[1]), 0)], Irregularity::NotNst);
+        check(&[(Frame::data_frame(Id::Standard(1), &[1]).unwrap(), 0)], ReassemblyError::NotNst);
+        check(&[(raw(0x0101_0210, &[1]), 0)], ReassemblyError::NotNst);
         check(
-            &[(Frame::from_wire(Id::Extended(0x0001_0210), true, 1, [0; 8]).unwrap(), 0)],
-            Irregularity::NotNst,
+            &[(Frame::from_parts(Id::Extended(0x0001_0210), true, 1, [0; 8]).unwrap(), 0)],
+            ReassemblyError::NotNst,
         );
-        check(&[(raw(0x0001_0310, &[1]), 0)], Irregularity::OtherDestination);
-        check(&[(cut[0], 0), (raw(0x0001_FF41, &[1; 8]), 0)], Irregularity::OtherDestination);
-        check(&[(cut[0], 0), (raw(0x0001_0231, &[1]), 0)], Irregularity::UnknownType);
-        check(&[(cut[0], 0), (cut[2], 0)], Irregularity::Counter);
-        check(&[(raw(0x0001_0211, &[1]), 0)], Irregularity::Counter);
-        check(&[(cut[1], 0)], Irregularity::NoFirst);
-        check(&[(raw(0x0001_0210, &[]), 0)], Irregularity::Length);
-        check(&[(raw(0x0001_0220, &[1; 7]), 0)], Irregularity::Length);
-        check(&[(cut[0], 0), (cut[1], 11)], Irregularity::Late);
-        check(&[(cut[0], 0), (cut[0], 1)], Irregularity::Restarted);
-        check(&[(cut[0], 0), (frames(3, 2, &[9; 20])[0], 1)], Irregularity::NoContext);
+        check(&[(raw(0x0001_0310, &[1]), 0)], ReassemblyError::OtherDestination);
+        check(&[(cut[0], 0), (raw(0x0001_FF41, &[1; 8]), 0)], ReassemblyError::OtherDestination);
+        check(&[(cut[0], 0), (raw(0x0001_0231, &[1]), 0)], ReassemblyError::UnknownType);
+        check(&[(cut[0], 0), (cut[2], 0)], ReassemblyError::Counter);
+        check(&[(raw(0x0001_0211, &[1]), 0)], ReassemblyError::Counter);
+        check(&[(cut[1], 0)], ReassemblyError::NoFirst);
+        check(&[(raw(0x0001_0210, &[]), 0)], ReassemblyError::Length);
+        check(&[(raw(0x0001_0220, &[1; 7]), 0)], ReassemblyError::Length);
+        check(&[(cut[0], 0), (cut[1], 11)], ReassemblyError::Late);
+        check(&[(cut[0], 0), (cut[0], 1)], ReassemblyError::Restarted);
+        check(&[(cut[0], 0), (frames(3, 2, &[9; 20])[0], 1)], ReassemblyError::NoContext);
     }
 
     #[test]
@@ -506,7 +510,7 @@ mod tests {
         }
         reassembler.forget(1);
         let report = reassembler.push(&frames(1, 2, &[1; 12])[1], at(0));
-        assert_eq!((report.outcome, report.irregularity), (None, Some(Irregularity::NoFirst)));
+        assert_eq!((report.outcome, report.error), (None, Some(ReassemblyError::NoFirst)));
         let report = reassembler.push(&frames(3, 2, &[3; 12])[1], at(0));
         assert_eq!(report.outcome, Some(Outcome::Complete { source: 3, destination: 2, body: &[3; 12] }));
     }
@@ -521,6 +525,6 @@ mod tests {
             assert_eq!(report.outcome, Some(Outcome::More));
         }
         let wrapped = Frame::data_frame(Id::Extended(0x0001_0240), &[0; 8]).unwrap();
-        assert_eq!(reassembler.push(&wrapped, at(0)).irregularity, Some(Irregularity::Counter));
+        assert_eq!(reassembler.push(&wrapped, at(0)).error, Some(ReassemblyError::Counter));
     }
 }

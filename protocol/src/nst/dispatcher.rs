@@ -1,8 +1,8 @@
 use super::can::{self, Segments};
 use super::register::{self, Access, SETTINGS_LENGTH, Values};
 use super::{
-    ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request,
-    Sample, SignEncoding, serial, stream,
+    ADDRESS_MIN, AXES, BROADCAST, BodyError, FunctionCode, REPLY_DATA_MAX, RESPONSE_HEADER, Request,
+    Response, Sample, SignEncoding, serial, stream,
 };
 use crate::checksum::{self, CRC_LENGTH};
 use crate::error::error_text;
@@ -86,7 +86,7 @@ pub enum Refusal {
 /// Why a frame or a transfer is not answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Silence {
+pub enum NoResponse {
     /// The CRC is wrong.
     Checksum,
     /// Not a request.
@@ -165,9 +165,9 @@ impl<H: Hardware> Daq<H> {
     /// Answers a frame of RS232 or RS485 into `out`.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
-    pub fn serve_serial<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
-        let serial::Frame { address, body } = serial::Frame::decode(frame).ok_or(Silence::Checksum)?;
+    /// [`NoResponse`]: why there is no answer.
+    pub fn serve_serial<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
+        let serial::Frame { address, body } = serial::Frame::decode(frame).ok_or(NoResponse::Checksum)?;
         let reply = self.serve_around(address, body, (1, CRC_LENGTH), out)?;
         if let Some(first) = reply.first_mut() {
             *first = address;
@@ -179,9 +179,9 @@ impl<H: Hardware> Daq<H> {
     /// Answers a frame of USB, TCP, or a datagram of UDP into `out`.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
-    pub fn serve_stream<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
-        let (address, body) = stream::split(frame).ok_or(Silence::Malformed(BodyError::Length))?;
+    /// [`NoResponse`]: why there is no answer.
+    pub fn serve_stream<'b>(&mut self, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
+        let (address, body) = stream::split(frame).ok_or(NoResponse::Malformed(BodyError::Length))?;
         let reply = self.serve_around(address, body, (1, 0), out)?;
         if let Some(first) = reply.first_mut() {
             *first = address;
@@ -195,44 +195,49 @@ impl<H: Hardware> Daq<H> {
     /// What does not fit one transfer is refused whole: a master asks for it in several (4.2.1.2).
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
+    /// [`NoResponse`]: why there is no answer.
     pub fn serve_can<'b>(
         &mut self,
         source: u8,
         destination: u8,
         body: &[u8],
         buffer: &'b mut [u8; can::TRANSFER_MAX],
-    ) -> Result<Segments<'b>, Silence> {
+    ) -> Result<Segments<'b>, NoResponse> {
         let node = self.active.address;
         let reply =
             self.serve_around(destination, body, (0, 0), buffer).map_err(|silence| match silence {
-                Silence::NoSpace => Silence::Refused(Refusal::Length),
+                NoResponse::NoSpace => NoResponse::Refused(Refusal::Length),
                 other => other,
             })?;
-        can::segment(node, source, reply).map_err(|can::TransferLength| Silence::NoSpace)
+        can::segment(node, source, reply).map_err(|can::TransferLength| NoResponse::NoSpace)
     }
 
     /// Answers the body of a request to `address`, which on CAN is the destination node.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
-    pub fn serve<'b>(&mut self, address: u8, body: &[u8], data: &'b mut [u8]) -> Result<Reply<'b>, Silence> {
+    /// [`NoResponse`]: why there is no answer.
+    pub fn serve<'b>(
+        &mut self,
+        address: u8,
+        body: &[u8],
+        data: &'b mut [u8],
+    ) -> Result<Response<'b>, NoResponse> {
         let request = self.judge(address, body)?;
         let result = self.dispatch(&request, data);
         if address == BROADCAST {
-            return Err(Silence::Broadcast(result.err()));
+            return Err(NoResponse::Broadcast(result.err()));
         }
-        result.map_err(Silence::Refused)
+        result.map_err(NoResponse::Refused)
     }
 
     /// Whether a body is a request to this device.
-    fn judge<'r>(&self, address: u8, body: &'r [u8]) -> Result<Request<'r>, Silence> {
+    fn judge<'r>(&self, address: u8, body: &'r [u8]) -> Result<Request<'r>, NoResponse> {
         if address != self.active.address && address != BROADCAST {
-            return Err(Silence::OtherAddress);
+            return Err(NoResponse::OtherAddress);
         }
-        let request = Request::decode(body).map_err(Silence::Malformed)?;
+        let request = Request::decode(body).map_err(NoResponse::Malformed)?;
         if address == BROADCAST && request.function().is_read() {
-            return Err(Silence::BroadcastRead);
+            return Err(NoResponse::BroadcastRead);
         }
         Ok(request)
     }
@@ -245,19 +250,19 @@ impl<H: Hardware> Daq<H> {
         body: &[u8],
         (before, behind): (usize, usize),
         out: &'b mut [u8],
-    ) -> Result<&'b mut [u8], Silence> {
+    ) -> Result<&'b mut [u8], NoResponse> {
         let request = self.judge(address, body)?;
         if address == BROADCAST {
-            return Err(Silence::Broadcast(self.carry_out(&request, &mut []).err()));
+            return Err(NoResponse::Broadcast(self.carry_out(&request, &mut []).err()));
         }
         let (function, length) = (request.function(), request.length());
         let data_length = if function.is_read() { usize::from(length) } else { 0 };
-        let end = before.wrapping_add(REPLY_HEADER).wrapping_add(data_length);
-        let frame = out.get_mut(..end.wrapping_add(behind)).ok_or(Silence::NoSpace)?;
-        let reply = frame.get_mut(before..end).ok_or(Silence::NoSpace)?;
-        let [code, count, data @ ..] = reply else { return Err(Silence::NoSpace) };
+        let end = before.wrapping_add(RESPONSE_HEADER).wrapping_add(data_length);
+        let frame = out.get_mut(..end.wrapping_add(behind)).ok_or(NoResponse::NoSpace)?;
+        let reply = frame.get_mut(before..end).ok_or(NoResponse::NoSpace)?;
+        let [code, count, data @ ..] = reply else { return Err(NoResponse::NoSpace) };
         (*code, *count) = (function.code(), length);
-        self.carry_out(&request, data).map_err(Silence::Refused)?;
+        self.carry_out(&request, data).map_err(NoResponse::Refused)?;
         Ok(frame)
     }
 
@@ -265,15 +270,19 @@ impl<H: Hardware> Daq<H> {
     ///
     /// # Errors
     /// [`Refusal`], and nothing has changed.
-    pub fn dispatch<'b>(&mut self, request: &Request<'_>, data: &'b mut [u8]) -> Result<Reply<'b>, Refusal> {
+    pub fn dispatch<'b>(
+        &mut self,
+        request: &Request<'_>,
+        data: &'b mut [u8],
+    ) -> Result<Response<'b>, Refusal> {
         let (function, length) = (request.function(), request.length());
         if !function.is_read() {
             self.carry_out(request, &mut [])?;
-            return Ok(Reply::Acknowledge { function, length });
+            return Ok(Response::Acknowledge { function, length });
         }
         let data = data.get_mut(..usize::from(length)).ok_or(Refusal::Length)?;
         self.carry_out(request, data)?;
-        Ok(Reply::Data { function, data })
+        Ok(Response::Data { function, data })
     }
 
     /// `data` has the length that a read asks for.
@@ -416,15 +425,15 @@ error_text! {
 }
 
 error_text! {
-    Silence {
-        Silence::Checksum => ("the CRC does not fit"),
-        Silence::Malformed(error) => ("{error}"),
-        Silence::OtherAddress => ("for another address"),
-        Silence::Broadcast(None) => ("a broadcast, carried out"),
-        Silence::Broadcast(Some(refusal)) => ("a broadcast, refused: {refusal}"),
-        Silence::BroadcastRead => ("a read by broadcast"),
-        Silence::Refused(refusal) => ("{refusal}"),
-        Silence::NoSpace => ("the reply does not fit the buffer"),
+    NoResponse {
+        NoResponse::Checksum => ("the CRC does not fit"),
+        NoResponse::Malformed(error) => ("{error}"),
+        NoResponse::OtherAddress => ("for another address"),
+        NoResponse::Broadcast(None) => ("a broadcast, carried out"),
+        NoResponse::Broadcast(Some(refusal)) => ("a broadcast, refused: {refusal}"),
+        NoResponse::BroadcastRead => ("a read by broadcast"),
+        NoResponse::Refused(refusal) => ("{refusal}"),
+        NoResponse::NoSpace => ("the reply does not fit the buffer"),
     }
 }
 
@@ -440,16 +449,16 @@ mod tests {
         Daq::new(hardware, SignEncoding::TwosComplement)
     }
 
-    fn ask(daq: &mut Daq<RamHardware>, body: &[u8]) -> Result<Vec<u8>, Silence> {
-        let (mut data, mut out) = ([0xEE; REPLY_DATA_MAX], [0xEE; REPLY_DATA_MAX + REPLY_HEADER]);
+    fn ask(daq: &mut Daq<RamHardware>, body: &[u8]) -> Result<Vec<u8>, NoResponse> {
+        let (mut data, mut out) = ([0xEE; REPLY_DATA_MAX], [0xEE; REPLY_DATA_MAX + RESPONSE_HEADER]);
         let reply = daq.serve(daq.address(), body, &mut data)?;
         let mut writer = Writer::new(&mut out);
         reply.encode(&mut writer).unwrap();
         Ok(writer.finish().to_vec())
     }
 
-    fn refused(reason: Refusal) -> Result<Vec<u8>, Silence> {
-        Err(Silence::Refused(reason))
+    fn refused(reason: Refusal) -> Result<Vec<u8>, NoResponse> {
+        Err(NoResponse::Refused(reason))
     }
 
     #[test]
@@ -539,9 +548,9 @@ mod tests {
         let mut daq = daq();
         let mut data = [0; REPLY_DATA_MAX];
         let write = [0x10, 0x01, 0x93, 1, 9];
-        assert_eq!(daq.serve(0xFF, &write, &mut data), Err(Silence::Broadcast(None)));
-        assert_eq!(daq.serve(0xFF, &[3, 1, 0x93, 1], &mut data), Err(Silence::BroadcastRead));
-        assert_eq!(daq.serve(2, &write, &mut data), Err(Silence::OtherAddress));
+        assert_eq!(daq.serve(0xFF, &write, &mut data), Err(NoResponse::Broadcast(None)));
+        assert_eq!(daq.serve(0xFF, &[3, 1, 0x93, 1], &mut data), Err(NoResponse::BroadcastRead));
+        assert_eq!(daq.serve(2, &write, &mut data), Err(NoResponse::OtherAddress));
         daq.restart();
         assert_eq!(daq.address(), 9);
     }
@@ -552,8 +561,8 @@ mod tests {
         let before = daq.hardware().settings;
         let request = Request::Write { register: register::IP_ADDRESS.first, data: &[10, 0, 0, 1] };
         let frame = serial::encode_request(1, &request, &mut frame).unwrap();
-        assert_eq!(daq.serve_serial(frame, &mut out[..4]), Err(Silence::NoSpace));
-        assert_eq!(daq.serve_stream(&frame[..frame.len() - 2], &mut out[..2]), Err(Silence::NoSpace));
+        assert_eq!(daq.serve_serial(frame, &mut out[..4]), Err(NoResponse::NoSpace));
+        assert_eq!(daq.serve_stream(&frame[..frame.len() - 2], &mut out[..2]), Err(NoResponse::NoSpace));
         assert_eq!(daq.hardware().settings, before);
         assert_eq!(daq.serve_serial(frame, &mut out[..5]).map(<[u8]>::len), Ok(5));
     }
@@ -567,19 +576,19 @@ mod tests {
         };
         assert_eq!(frames(&mut daq, &[3, 2, 0, 18], &mut buffer), Ok(3));
         assert_eq!(frames(&mut daq, &[3, 0, 0, 126], &mut buffer), Ok(16));
-        assert_eq!(frames(&mut daq, &[3, 0, 0, 127], &mut buffer), Err(Silence::Refused(Refusal::Length)));
+        assert_eq!(frames(&mut daq, &[3, 0, 0, 127], &mut buffer), Err(NoResponse::Refused(Refusal::Length)));
         assert_eq!(frames(&mut daq, &[0x18, 0, 0, 1], &mut buffer), Ok(1));
-        assert_eq!(daq.serve_can(2, 9, &[3, 2, 0, 18], &mut buffer).err(), Some(Silence::OtherAddress));
+        assert_eq!(daq.serve_can(2, 9, &[3, 2, 0, 18], &mut buffer).err(), Some(NoResponse::OtherAddress));
     }
 
     #[test]
     fn the_printed_serial_frames_are_answered_as_printed() {
-        let mut out = [0xEE; serial::REPLY_MAX];
+        let mut out = [0xEE; serial::RESPONSE_MAX];
         let request = [0x01, 0x12, 0x01, 0xA7, 0x18, 0x37, 0x42];
         assert_eq!(daq().serve_serial(&request, &mut out), Ok(&[0x01, 0x12, 0x18, 0x2C, 0xAA][..]));
         let mut wrong = request;
         wrong[6] ^= 1;
-        assert_eq!(daq().serve_serial(&wrong, &mut out), Err(Silence::Checksum));
+        assert_eq!(daq().serve_serial(&wrong, &mut out), Err(NoResponse::Checksum));
         assert_eq!(daq().serve_stream(&request[..5], &mut out), Ok(&[0x01, 0x12, 0x18][..]));
     }
 }

@@ -34,7 +34,7 @@ impl FunctionCode {
 pub const COMMAND_LENGTH: usize = 4;
 
 /// Bytes of a reply's body before its data: function code, length.
-pub const REPLY_HEADER: usize = 2;
+pub const RESPONSE_HEADER: usize = 2;
 
 /// Most data bytes of a write: 4.2.3 demands fewer than 250.
 pub const WRITE_DATA_MAX: usize = 249;
@@ -157,7 +157,7 @@ impl<'a> Request<'a> {
 /// A device's answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Reply<'a> {
+pub enum Response<'a> {
     /// Answer to [`FunctionCode::Read`] and [`FunctionCode::Search`].
     Data {
         /// Function code of the request.
@@ -174,7 +174,7 @@ pub enum Reply<'a> {
     },
 }
 
-impl<'a> Reply<'a> {
+impl<'a> Response<'a> {
     /// Decodes a body. Data behind function code 0x10 is taken as data (4.3.2.10 prints it so).
     ///
     /// # Errors

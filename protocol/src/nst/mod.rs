@@ -12,9 +12,10 @@ mod sample;
 pub mod serial;
 pub mod stream;
 
-pub use dispatcher::{Daq, Hardware, RamHardware, Refusal, Silence, StoreError};
+pub use dispatcher::{Daq, Hardware, NoResponse, RamHardware, Refusal, StoreError};
 pub use frame::{
-    BodyError, COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request, WRITE_DATA_MAX,
+    BodyError, COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, RESPONSE_HEADER, Request, Response,
+    WRITE_DATA_MAX,
 };
 pub use sample::{AXES, SAMPLE_LENGTH, Sample, SignEncoding};
 

@@ -1,8 +1,10 @@
 //! The form on RS232 and RS485: address, body, CRC low byte first (4.2.3).
 
-use super::{COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, REPLY_HEADER, Reply, Request, WRITE_DATA_MAX};
+use super::{
+    COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, RESPONSE_HEADER, Request, Response, WRITE_DATA_MAX,
+};
 use crate::checksum;
-use crate::deframe::{Expectation, Format, FrameLength};
+use crate::decode::{FrameLength, Framing, Match};
 use crate::wire::NoSpace;
 
 /// Bytes around a body: address and CRC.
@@ -12,7 +14,7 @@ pub const OVERHEAD: usize = 1 + checksum::CRC_LENGTH;
 pub const REQUEST_MAX: usize = COMMAND_LENGTH + WRITE_DATA_MAX + OVERHEAD;
 
 /// Longest reply frame.
-pub const REPLY_MAX: usize = REPLY_HEADER + REPLY_DATA_MAX + OVERHEAD;
+pub const RESPONSE_MAX: usize = RESPONSE_HEADER + REPLY_DATA_MAX + OVERHEAD;
 
 /// A frame whose CRC was right.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,7 +30,7 @@ impl<'a> Frame<'a> {
     /// Checks a whole frame and takes it apart; `None` where the CRC is wrong or there is nothing before it.
     #[must_use]
     pub fn decode(frame: &'a [u8]) -> Option<Self> {
-        let (address, body) = checksum::verify(frame)?.split_first()?;
+        let (address, body) = checksum::strip_crc(frame)?.split_first()?;
         Some(Self { address: *address, body })
     }
 }
@@ -49,7 +51,11 @@ pub fn encode_request<'b>(
 ///
 /// # Errors
 /// [`NoSpace`] where it does not fit.
-pub fn encode_reply<'b>(address: u8, reply: &Reply<'_>, buffer: &'b mut [u8]) -> Result<&'b [u8], NoSpace> {
+pub fn encode_reply<'b>(
+    address: u8,
+    reply: &Response<'_>,
+    buffer: &'b mut [u8],
+) -> Result<&'b [u8], NoSpace> {
     checksum::frame(address, |writer| reply.encode(writer), buffer)
 }
 
@@ -71,17 +77,17 @@ pub fn request_length(prefix: &[u8]) -> FrameLength {
     }
 }
 
-/// Requests to one device of a line that has no other.
+/// RequestFraming to one device of a line that has no other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Requests;
+pub struct RequestFraming;
 
-impl Format for Requests {
+impl Framing for RequestFraming {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         request_length(prefix)
     }
 
     fn is_valid(&self, frame: &[u8]) -> bool {
-        checksum::verify(frame).is_some()
+        checksum::strip_crc(frame).is_some()
     }
 
     fn is_broadcast(&self, frame: &[u8]) -> bool {
@@ -94,13 +100,13 @@ impl Format for Requests {
 /// NST numbers nothing: a late reply to a request of the same function code and length fits as well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct ExpectedReply {
+pub struct ExpectedResponse {
     address: u8,
     function: FunctionCode,
     length: u8,
 }
 
-impl ExpectedReply {
+impl ExpectedResponse {
     /// What the device at `address` may answer to `request`.
     #[must_use]
     #[inline(never)] // in many places of a bridge
@@ -130,7 +136,7 @@ impl ExpectedReply {
     #[must_use]
     pub fn body_length(&self) -> usize {
         let data = if self.function.is_read() { usize::from(self.length) } else { 0 };
-        REPLY_HEADER.saturating_add(data)
+        RESPONSE_HEADER.saturating_add(data)
     }
 
     /// Whether `body` is the reply: function code and length fit.
@@ -141,7 +147,7 @@ impl ExpectedReply {
 
     /// Whether `body` is the reply to a read, but with function code 0x10, as the manual prints it for CAN (4.3.2.10).
     #[must_use]
-    pub fn accepts_quirk(&self, body: &[u8]) -> bool {
+    pub fn accepts_legacy_code(&self, body: &[u8]) -> bool {
         self.function.is_read() && self.fits(FunctionCode::Write, body)
     }
 
@@ -153,13 +159,13 @@ impl ExpectedReply {
     }
 
     fn fits(&self, function: FunctionCode, body: &[u8]) -> bool {
-        body.split_first_chunk::<REPLY_HEADER>().is_some_and(|([code, length], _)| {
+        body.split_first_chunk::<RESPONSE_HEADER>().is_some_and(|([code, length], _)| {
             *code == function.code() && *length == self.length && body.len() == self.body_length()
         })
     }
 }
 
-impl Expectation<1> for ExpectedReply {
+impl Match<1> for ExpectedResponse {
     fn lengths(&self) -> [usize; 1] {
         [self.body_length().saturating_add(OVERHEAD)]
     }
@@ -175,20 +181,22 @@ mod tests {
 
     #[test]
     fn a_reply_fits_its_request_by_function_code_and_length() {
-        let read = ExpectedReply::new(1, &Request::read(0x0200, 2));
+        let read = ExpectedResponse::new(1, &Request::read(0x0200, 2));
         assert!(read.accepts_body(&[3, 2, 9, 9]));
         assert!(!read.accepts_body(&[3, 2, 9]));
         assert!(!read.accepts_body(&[3, 3, 9, 9, 9]));
         assert!(!read.accepts_body(&[0x10, 2, 9, 9]));
-        assert!(read.accepts_quirk(&[0x10, 2, 9, 9]));
-        let write = ExpectedReply::new(1, &Request::Write { register: 0x0193, data: &[5] });
+        assert!(read.accepts_legacy_code(&[0x10, 2, 9, 9]));
+        let write = ExpectedResponse::new(1, &Request::Write { register: 0x0193, data: &[5] });
         assert!(write.accepts_body(&[0x10, 1]));
         assert!(!write.accepts_body(&[0x10, 1, 5]));
-        assert!(!write.accepts_quirk(&[0x10, 1]));
+        assert!(!write.accepts_legacy_code(&[0x10, 1]));
         // 4.3.1.1
         let printed = [0x01, 0x10, 0x01, 0xEC, 0x00];
         assert!(write.accepts(&printed));
-        assert!(!ExpectedReply::new(2, &Request::Write { register: 0x0193, data: &[5] }).accepts(&printed));
+        assert!(
+            !ExpectedResponse::new(2, &Request::Write { register: 0x0193, data: &[5] }).accepts(&printed)
+        );
         assert_eq!(write.lengths(), [printed.len()]);
     }
 

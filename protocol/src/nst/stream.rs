@@ -1,13 +1,13 @@
 //! The form on USB, UDP and TCP: address and body, no CRC (4.2.3).
 //!
 //! A datagram of UDP holds one frame. On USB and TCP frames follow each other and only their lengths tell them apart:
-//! [`Requests`] for the device's side, [`ExpectedReply`] for the master's. Without a checksum nothing shows that bytes
+//! [`RequestFraming`] for the device's side, [`ExpectedResponse`] for the master's. Without a checksum nothing shows that bytes
 //! were lost, so on TCP the owner closes the connection after a burst that was dropped.
 
 use super::serial;
-use super::{Reply, Request};
+use super::{Request, Response};
 use crate::checksum::CRC_LENGTH;
-use crate::deframe::{Expectation, Format, FrameLength};
+use crate::decode::{FrameLength, Framing, Match};
 use crate::wire::{NoSpace, Writer};
 
 /// A frame's address and body; `None` for nothing at all.
@@ -35,7 +35,11 @@ pub fn encode_request<'b>(
 ///
 /// # Errors
 /// [`NoSpace`] where it does not fit.
-pub fn encode_reply<'b>(address: u8, reply: &Reply<'_>, buffer: &'b mut [u8]) -> Result<&'b [u8], NoSpace> {
+pub fn encode_reply<'b>(
+    address: u8,
+    reply: &Response<'_>,
+    buffer: &'b mut [u8],
+) -> Result<&'b [u8], NoSpace> {
     let mut writer = Writer::new(buffer);
     writer.u8(address)?;
     reply.encode(&mut writer)?;
@@ -51,11 +55,11 @@ pub fn request_length(prefix: &[u8]) -> FrameLength {
     }
 }
 
-/// Requests to a device.
+/// RequestFraming to a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Requests;
+pub struct RequestFraming;
 
-impl Format for Requests {
+impl Framing for RequestFraming {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         request_length(prefix)
     }
@@ -73,17 +77,17 @@ impl Format for Requests {
 /// What a master remembers of a request to know the reply: address, function code and length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct ExpectedReply(serial::ExpectedReply);
+pub struct ExpectedResponse(serial::ExpectedResponse);
 
-impl ExpectedReply {
+impl ExpectedResponse {
     /// What the device at `address` may answer to `request`.
     #[must_use]
     pub fn new(address: u8, request: &Request<'_>) -> Self {
-        Self(serial::ExpectedReply::new(address, request))
+        Self(serial::ExpectedResponse::new(address, request))
     }
 }
 
-impl Expectation<1> for ExpectedReply {
+impl Match<1> for ExpectedResponse {
     fn lengths(&self) -> [usize; 1] {
         [self.0.body_length().saturating_add(1)]
     }
@@ -96,7 +100,7 @@ impl Expectation<1> for ExpectedReply {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::deframe::{BurstDeframer, Event, ReplySearch};
+    use crate::decode::{Event, FrameDecoder, ResponseMatcher};
     use crate::nst::{Daq, REPLY_DATA_MAX, RamHardware, SignEncoding};
     use crate::time::{Duration, Instant};
     use std::vec::Vec;
@@ -114,10 +118,10 @@ mod tests {
         }
         for piece in 1..=stream.len() {
             let mut daq = Daq::new(RamHardware::new(1), SignEncoding::TwosComplement);
-            let mut deframer = BurstDeframer::<260>::new(Duration::from_millis(20));
+            let mut decoder = FrameDecoder::<260>::new(Duration::from_millis(20));
             let mut replies = Vec::new();
             for mut chunk in stream.chunks(piece) {
-                while let Some(event) = deframer.feed(&Requests, &mut chunk, Instant::default()) {
+                while let Some(event) = decoder.feed(&RequestFraming, &mut chunk, Instant::default()) {
                     let Event::Frame(frame) = event else { panic!("{event:?}") };
                     let mut out = [0xEE; REPLY_DATA_MAX + 3];
                     replies.extend_from_slice(daq.serve_stream(frame, &mut out).unwrap());
@@ -125,8 +129,8 @@ mod tests {
             }
             let mut rest = &replies[..];
             for request in &requests {
-                let mut search = ReplySearch::<300, 1>::default();
-                let (_, reply) = search.feed(&ExpectedReply::new(1, request), &mut rest).unwrap();
+                let mut search = ResponseMatcher::<300, 1>::default();
+                let (_, reply) = search.feed(&ExpectedResponse::new(1, request), &mut rest).unwrap();
                 assert_eq!(reply[1], request.function().code());
             }
             assert_eq!(rest, []);
@@ -135,13 +139,13 @@ mod tests {
 
     #[test]
     fn after_something_wrong_nothing_is_taken_until_silence() {
-        let mut deframer = BurstDeframer::<260>::new(Duration::from_millis(20));
+        let mut decoder = FrameDecoder::<260>::new(Duration::from_millis(20));
         let start = Instant::default();
         let mut bytes = &[1, 4, 1, 3, 2, 0, 18][..];
-        assert_eq!(deframer.feed(&Requests, &mut bytes, start), None);
-        let later = start.after(Duration::from_millis(20));
-        assert!(matches!(deframer.poll(&Requests, later), Some(Event::Dropped { .. })));
+        assert_eq!(decoder.feed(&RequestFraming, &mut bytes, start), None);
+        let later = start.saturating_add(Duration::from_millis(20));
+        assert!(matches!(decoder.poll(&RequestFraming, later), Some(Event::Dropped { .. })));
         let mut bytes = &[1, 3, 2, 0, 18][..];
-        assert!(matches!(deframer.feed(&Requests, &mut bytes, later), Some(Event::Frame(_))));
+        assert!(matches!(decoder.feed(&RequestFraming, &mut bytes, later), Some(Event::Frame(_))));
     }
 }

@@ -1,8 +1,8 @@
 use core::convert::Infallible;
 
 use super::{BROADCAST, CHANNELS, Channel, External, OutputRange, Register, Settings};
-use crate::modbus::server::{Audience, Failure, Silence, data_unit, reading, serve_rtu, written};
-use crate::modbus::{ExceptionCode, READ_REGISTERS_MAX, Range, Request, WRITE_REGISTERS_MAX};
+use crate::modbus::server::{Destination, Failure, NoResponse, data_unit, reading, serve_rtu, written};
+use crate::modbus::{AddressRange, ExceptionCode, READ_REGISTERS_MAX, Request, WRITE_REGISTERS_MAX};
 use crate::wire::{NoSpace, Writer};
 
 /// What a card's firmware puts behind its dispatcher.
@@ -105,12 +105,12 @@ impl<H: Hardware> Card<H> {
     /// Answers a frame to `id`, or to all, into `out`.
     ///
     /// # Errors
-    /// [`Silence`]: why there is no answer.
-    pub fn serve<'b>(&mut self, id: u8, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
+    /// [`NoResponse`]: why there is no answer.
+    pub fn serve<'b>(&mut self, id: u8, frame: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
         let audience = |unit| match unit {
-            BROADCAST => Audience::Broadcast,
-            _ if unit == id => Audience::Unit,
-            _ => Audience::Other,
+            BROADCAST => Destination::Broadcast,
+            _ if unit == id => Destination::Unit,
+            _ => Destination::Other,
         };
         serve_rtu(frame, audience, |_, request, writer| self.answer(request, writer), out)
     }
@@ -174,7 +174,7 @@ impl<H: Hardware> Card<H> {
 }
 
 /// Quantity (exception 03), then whether there are whole pairs of registers (exception 02).
-fn judge(range: Range, max: u16) -> Result<(), ExceptionCode> {
+fn judge(range: AddressRange, max: u16) -> Result<(), ExceptionCode> {
     if range.quantity == 0 || range.quantity > max {
         return Err(ExceptionCode::IllegalDataValue);
     }
@@ -244,7 +244,7 @@ impl<'a> Change<'a> {
     /// Takes one value; `None` where it is outside its set. Limits of ranges are judged at the end.
     fn write(&mut self, register: Register, value: u32) -> Option<()> {
         match register {
-            Register::Range(index) => self.channel(index)?.range = OutputRange::from_value(value)?,
+            Register::AddressRange(index) => self.channel(index)?.range = OutputRange::from_value(value)?,
             Register::SetValue(index) => {
                 self.channel(index)?.set_value = f32::from_bits(value);
                 self.set_named |= channel_bit(index);
@@ -289,7 +289,7 @@ impl<'a> Change<'a> {
 }
 
 fn fit(range: OutputRange, value: &mut f32, named: bool) -> Option<()> {
-    if !range.holds(*value) {
+    if !range.contains(*value) {
         if named {
             return None;
         }
@@ -329,7 +329,7 @@ mod tests {
     }
 
     fn write(card: &mut Card<RamHardware>, start: u16, values: &[u32]) -> Result<(), ExceptionCode> {
-        let (range, data) = (Range::new(start, values.len() as u16 * 2), words(values));
+        let (range, data) = (AddressRange::new(start, values.len() as u16 * 2), words(values));
         match ask(card, &Request::WriteMultipleRegisters { range, data: &data }, &mut [0xEE; 5]) {
             Response::WriteMultiple { range: written, .. } if written == range => Ok(()),
             Response::Exception { exception, .. } => Err(exception),
@@ -339,7 +339,7 @@ mod tests {
 
     fn read(card: &mut Card<RamHardware>, start: u16, quantity: u16) -> Result<Vec<u8>, ExceptionCode> {
         let mut data = [0xEE; PDU_MAX];
-        match ask(card, &Request::ReadHoldingRegisters(Range::new(start, quantity)), &mut data) {
+        match ask(card, &Request::ReadHoldingRegisters(AddressRange::new(start, quantity)), &mut data) {
             Response::Read { data, .. } => Ok(data.to_vec()),
             Response::Exception { exception, .. } => Err(exception),
             other => panic!("{other:?}"),
@@ -357,7 +357,7 @@ mod tests {
         let reply = card.serve(31, &frame, &mut out).unwrap();
         assert_eq!(reply[..6], frame[..6]);
         assert_eq!(card.settings().channels[0].range, OutputRange::Milliamperes200);
-        assert_eq!(card.serve(30, &frame, &mut out), Err(Silence::OtherUnit));
+        assert_eq!(card.serve(30, &frame, &mut out), Err(NoResponse::OtherUnit));
     }
 
     #[test]
@@ -392,9 +392,9 @@ mod tests {
         assert_eq!(read(&mut card, 0xFFFE, 4), Err(ADDRESS));
         assert_eq!(write(&mut card, 3, &[0]), Err(ADDRESS));
         assert_eq!(write(&mut card, 12, &[0, 0]), Err(ADDRESS));
-        let short = Request::WriteMultipleRegisters { range: Range::new(2, 2), data: &[0, 0] };
+        let short = Request::WriteMultipleRegisters { range: AddressRange::new(2, 2), data: &[0, 0] };
         assert!(matches!(ask(&mut card, &short, &mut [0; 5]), Response::Exception { exception: VALUE, .. }));
-        let other = Request::ReadInputRegisters(Range::new(2, 2));
+        let other = Request::ReadInputRegisters(AddressRange::new(2, 2));
         let illegal = ExceptionCode::IllegalFunction;
         assert!(
             matches!(ask(&mut card, &other, &mut [0; 5]), Response::Exception { exception, .. } if exception == illegal)
@@ -515,7 +515,7 @@ mod tests {
         let mut card = Card::power_up(Broken::default(), &Settings::default()).unwrap();
         card.hardware().0 = true;
         let data = words(&[1]);
-        let request = Request::WriteMultipleRegisters { range: Range::new(6, 2), data: &data };
+        let request = Request::WriteMultipleRegisters { range: AddressRange::new(6, 2), data: &data };
         let failure = ExceptionCode::ServerDeviceFailure;
         let mut out = [0; 5];
         let response = ask(&mut card, &request, &mut out);

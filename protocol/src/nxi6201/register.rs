@@ -8,7 +8,7 @@ use super::CHANNELS;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Register {
     /// 2 + 20 n: [`OutputRange`] (5.1.1).
-    Range(usize),
+    AddressRange(usize),
     /// 4 + 20 n: set value as f32, V or mA by range, range 1 in V (5.1.2).
     SetValue(usize),
     /// 6 + 20 n: 0 off, 1 on (5.1.3).
@@ -40,7 +40,7 @@ impl Register {
                 let offset = address.wrapping_sub(2);
                 let channel = (offset / 20) as usize;
                 match offset % 20 {
-                    0 => Some(Self::Range(channel)),
+                    0 => Some(Self::AddressRange(channel)),
                     2 => Some(Self::SetValue(channel)),
                     4 => Some(Self::Output(channel)),
                     6 => Some(Self::StartEnable(channel)),
@@ -59,7 +59,7 @@ impl Register {
     }
 }
 
-/// Range of a channel (5.1.1).
+/// AddressRange of a channel (5.1.1).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OutputRange {
@@ -106,7 +106,7 @@ impl OutputRange {
 
     /// Whether a set value is a number within the limits.
     #[must_use]
-    pub fn holds(self, value: f32) -> bool {
+    pub fn contains(self, value: f32) -> bool {
         value.is_finite() && value.abs() <= self.limit()
     }
 }
@@ -151,7 +151,7 @@ impl External {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Channel {
-    /// Range.
+    /// AddressRange.
     pub range: OutputRange,
     /// Set value, within the range's limits.
     pub set_value: f32,
@@ -159,7 +159,7 @@ pub struct Channel {
     pub output: bool,
     /// Power-up start as written; 1 means on.
     pub start_enable: u32,
-    /// Range after power-up.
+    /// AddressRange after power-up.
     pub start_range: OutputRange,
     /// Set value after power-up, within that range's limits.
     pub start_value: f32,
@@ -193,7 +193,7 @@ impl Settings {
     pub fn read(&self, register: Register) -> Option<u32> {
         let channel = |index: usize| self.channels.get(index);
         Some(match register {
-            Register::Range(index) => channel(index)?.range.value(),
+            Register::AddressRange(index) => channel(index)?.range.value(),
             Register::SetValue(index) => channel(index)?.set_value.to_bits(),
             Register::Output(index) => u32::from(channel(index)?.output),
             Register::StartEnable(index) => channel(index)?.start_enable,

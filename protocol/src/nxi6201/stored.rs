@@ -37,13 +37,13 @@ impl Settings {
         writer.slice(&self.can_bit_rate.to_be_bytes())?;
         writer.slice(&self.can_id.to_be_bytes())?;
         writer.u8(self.keep.into())?;
-        checksum::seal(writer)
+        checksum::append_crc(writer)
     }
 
     /// The settings in a stored form; `None` where it is damaged, of another version, or a value is outside its set.
     #[must_use]
     pub fn decode(stored: &[u8; STORED_LENGTH]) -> Option<Self> {
-        let mut reader = Reader::new(checksum::verify(stored)?);
+        let mut reader = Reader::new(checksum::strip_crc(stored)?);
         if reader.u8().ok()? != STORED_VERSION {
             return None;
         }
@@ -68,7 +68,7 @@ fn read_channel(reader: &mut Reader<'_>) -> Option<Channel> {
     let start_value = f32::from_be_bytes(reader.array().ok()?);
     let [external, _] = reader.array().ok()?;
     let external = External::from_value(external.into())?;
-    let fits = range.holds(set_value) && start_range.holds(start_value);
+    let fits = range.contains(set_value) && start_range.contains(start_value);
     fits.then_some(Channel {
         range,
         set_value,

@@ -99,7 +99,7 @@ pub(crate) fn tables(figures: &Figures) -> Result<String> {
     text.push_str("\n### Garbage on the host, instructions a byte\n\n| | 1 KiB | 64 KiB |\n|---|---|---|\n");
     for side in ["request", "reply"] {
         for kind in ["random bytes", "beginnings of replies"] {
-            let subject = format!("deframe {side}, {kind}");
+            let subject = format!("decode {side}, {kind}");
             let few = figures.get(host::PLACE, &subject, "1024")? / 1024.0;
             let many = figures.get(host::PLACE, &subject, "65536")? / 65536.0;
             text.push_str(&format!("| {side} in {kind} | {few:.1} | {many:.1} |\n"));

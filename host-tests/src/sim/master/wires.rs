@@ -12,7 +12,7 @@ impl Master {
     /// The bridge has sent a frame onto an RS485 line.
     pub fn overhears(&mut self, port: Port, frame: &[u8], start: Moment, now: Moment) {
         self.tally.sent[0] += 1;
-        let Some((&remote, body)) = checksum::verify(frame).and_then(<[u8]>::split_first) else {
+        let Some((&remote, body)) = checksum::strip_crc(frame).and_then(<[u8]>::split_first) else {
             return self.tally.violation(now, || format!("the bridge sent a broken frame {frame:02x?}"));
         };
         if remote == 0 || remote == u8::MAX {
@@ -96,13 +96,13 @@ impl Master {
         };
         // of a split transfer the first part counts
         let first_part = head.get(1..3) == asked.body.get(1..3);
-        let limit = if port == Port::Can { asked.expires.after(FRAME) } else { asked.expires };
+        let limit = if port == Port::Can { asked.expires.saturating_add(FRAME) } else { asked.expires };
         let question = asked.question;
         if first_part && start > limit {
             self.tally.violation(now, || {
                 format!(
                     "{port:?}, device {remote}: {question:?} sent {} us after its time to live",
-                    start.since(limit) / 1000
+                    start.saturating_duration_since(limit) / 1000
                 )
             });
         }
@@ -127,13 +127,14 @@ impl Master {
         let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
             return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
         };
-        let limit = if port == Port::Can { broadcast.expires.after(FRAME) } else { broadcast.expires };
+        let limit =
+            if port == Port::Can { broadcast.expires.saturating_add(FRAME) } else { broadcast.expires };
         if is_whole {
             broadcast.to.retain(|to| *to != port);
             self.tally.copies[1] += 1;
         }
         if start > limit {
-            let late = start.since(limit) / 1000;
+            let late = start.saturating_duration_since(limit) / 1000;
             self.tally.violation(now, || format!("{port:?}: broadcast {late} us after its time to live"));
         }
     }

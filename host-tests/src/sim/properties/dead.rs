@@ -42,14 +42,14 @@ fn one(seed: u64) -> Found {
     let mut course = Course { run, port, units, cycle, answers: [0; DEVICES], asked: 0 };
     let start = course.run.world.now();
     // until the bus is in its stride
-    course.go(start.after(cycle), None);
+    course.go(start.saturating_add(cycle), None);
     let before = course.others(victim, span);
     course.set_absent(victim, Moment::from_nanos(u64::MAX));
     let during = course.others(victim, span);
     let back = course.run.world.now();
     course.set_absent(victim, Moment::default());
-    course.go(back.after(10 * SECONDS), Some(units[victim]));
-    let noticed = course.run.world.now().since(back);
+    course.go(back.saturating_add(10 * SECONDS), Some(units[victim]));
+    let noticed = course.run.world.now().saturating_duration_since(back);
     let mut found = Found::default();
     found.count("requests", course.asked);
     found.count("answers of the others before", before);
@@ -91,7 +91,7 @@ impl Course<'_> {
                     self.asked += 1;
                 }
             }
-            let until = self.run.world.now().after(self.cycle);
+            let until = self.run.world.now().saturating_add(self.cycle);
             while let Some(notice) = self.run.world.next(until) {
                 let answered = self.run.master.tally.answered;
                 let unit = self.run.notice(&notice);
@@ -113,7 +113,7 @@ impl Course<'_> {
     /// Answers of all but one in a span.
     fn others(&mut self, victim: usize, span: Nanos) -> u64 {
         self.answers = [0; DEVICES];
-        self.go(self.run.world.now().after(span), None);
+        self.go(self.run.world.now().saturating_add(span), None);
         let others = self.answers.iter().enumerate().filter(|(index, _)| *index != victim);
         others.map(|(_, count)| count).sum()
     }

@@ -11,7 +11,7 @@ use crate::sim::world::Notice;
 use jointbus_mcu_bridge::engine::Slot;
 use jointbus_mcu_bridge::io::serial::Queues;
 use jointbus_protocol::can::{Frame, Id};
-use jointbus_protocol::modbus::{self, Range, rtu};
+use jointbus_protocol::modbus::{self, AddressRange, rtu};
 use jointbus_protocol::nst::SAMPLE_LENGTH;
 use jointbus_protocol::nst::can::{FrameType, Identifier};
 use std::collections::VecDeque;
@@ -49,7 +49,7 @@ pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
         found.violation(format!("cargo xtask soak --seed {seed}: the slot was not set"));
         return found;
     }
-    let end = course.run.world.now().after(span);
+    let end = course.run.world.now().saturating_add(span);
     course.run.start();
     while let Some(notice) = course.run.next(end) {
         course.notice(&notice, &mut found);
@@ -136,13 +136,13 @@ impl<'q> Course<'q> {
 
     /// Sets the slot; whether the bridge says so.
     fn begin(&mut self) -> bool {
-        let range = Range::new(FIRST_SLOT, 2);
+        let range = AddressRange::new(FIRST_SLOT, 2);
         let request = modbus::Request::WriteMultipleRegisters { range, data: &VALUES };
         let mut buffer = [0; rtu::FRAME_MAX];
         let end =
             self.run.world.host_sends(rtu::encode_request(BRIDGE, &request, &mut buffer).unwrap_or(&[]));
         let mut heard = 0;
-        while let Some(notice) = self.run.world.next(end.after(PERIOD / 2)) {
+        while let Some(notice) = self.run.world.next(end.saturating_add(PERIOD / 2)) {
             heard += u32::from(matches!(notice, Notice::HostHears(_)));
         }
         // the bridge takes the request, and begins, when its main loop has noticed the last byte
@@ -156,7 +156,7 @@ impl<'q> Course<'q> {
 
     /// Periods that have begun.
     fn periods(&self) -> u64 {
-        self.run.world.now().since(self.begun) / PERIOD + 1
+        self.run.world.now().saturating_duration_since(self.begun) / PERIOD + 1
     }
 
     fn notice(&mut self, notice: &Notice, found: &mut Found) {
@@ -195,7 +195,9 @@ impl<'q> Course<'q> {
             }
             Some(_) => {}
         }
-        let near = |end: &&Moment| stamp.since(**end) <= STAMP && end.since(stamp) <= STAMP;
+        let near = |end: &&Moment| {
+            stamp.saturating_duration_since(**end) <= STAMP && end.saturating_duration_since(stamp) <= STAMP
+        };
         if self.ends.iter().rev().find(near).is_none() {
             found.violation(format!(
                 "cargo xtask soak: the stamp of sample {} is no frame's end",
@@ -206,10 +208,10 @@ impl<'q> Course<'q> {
 
     /// Goes on until no read is under way, and compares: each period has its sample, its failure, or was missed.
     fn come_to_rest(&mut self, found: &mut Found) {
-        let end = self.run.world.now().after(2000 * MILLIS);
+        let end = self.run.world.now().saturating_add(2000 * MILLIS);
         let mut told = String::new();
         while self.run.world.now() < end {
-            let until = self.run.world.now().after(50 * MICROS);
+            let until = self.run.world.now().saturating_add(50 * MICROS);
             while let Some(notice) = self.run.world.next(until) {
                 self.notice(&notice, found);
                 self.run.notice(&notice);
@@ -218,7 +220,7 @@ impl<'q> Course<'q> {
             let slot = self.slot();
             let counted = u64::from(slot.sequence) + u64::from(slot.missed) + u64::from(slot.failures);
             // the main loop begins a period up to a tick late
-            let within = self.run.world.now().since(self.begun) % PERIOD;
+            let within = self.run.world.now().saturating_duration_since(self.begun) % PERIOD;
             if within > PERIOD / 4 && counted == self.periods() {
                 return;
             }

@@ -16,7 +16,7 @@ impl World<'_> {
             self.frame_ended(&ended);
         }
         let next = self.can.start(self.now).or_else(|| self.can.recovery(self.now));
-        if let Some(next) = next.map(|next| next.max(self.now.after(1)))
+        if let Some(next) = next.map(|next| next.max(self.now.saturating_add(1)))
             && self.can_due.is_none_or(|due| next < due)
         {
             self.can_due = Some(next);
@@ -79,9 +79,9 @@ impl World<'_> {
             delay += station::spoil_frames(fault, &mut reply, timeout, &mut again, &mut self.random);
         }
         // nobody could tell a reply that is later than this from the next one
-        let latest = self.now.after(3 * timeout);
-        let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
-        for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
+        let latest = self.now.saturating_add(3 * timeout);
+        let copy = again.map(|later| (self.now.saturating_add(delay + later), reply.clone()));
+        for (at, reply) in [Some((self.now.saturating_add(delay), reply)), copy].into_iter().flatten() {
             if let Some(at) = station.queue(at, latest, reply) {
                 self.agenda.enter(at, Event::NodeReply { node });
             }

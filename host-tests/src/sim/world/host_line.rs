@@ -11,11 +11,11 @@ impl World<'_> {
         match self.to_bridge.front() {
             Some(ToSend::Byte(_) | ToSend::Unframed(_)) => {
                 self.host_sending = true;
-                self.agenda.enter(self.now.after(self.host_byte), Event::ToBridge);
+                self.agenda.enter(self.now.saturating_add(self.host_byte), Event::ToBridge);
             }
             Some(ToSend::Pause(span)) => {
                 self.host_sending = true;
-                let end = self.now.after(*span);
+                let end = self.now.saturating_add(*span);
                 self.to_bridge.pop_front();
                 self.agenda.enter(end, Event::HostGoesOn);
             }
@@ -40,7 +40,7 @@ impl World<'_> {
         self.to_host = self.uarts[0].queues.transmitter().next_byte();
         self.uarts[0].sending = self.to_host.is_some();
         if self.to_host.is_some() {
-            self.agenda.enter(self.now.after(self.host_byte), Event::ToHost);
+            self.agenda.enter(self.now.saturating_add(self.host_byte), Event::ToHost);
         }
     }
 

@@ -69,7 +69,7 @@ impl World<'_> {
             Fault::DriverHeld => self.lines[line].hold = self.random.between(byte, 5 * MILLIS),
             Fault::Noise => {
                 let noise: Vec<u8> = (0..self.random.between(1, 300)).map(|_| self.random.byte()).collect();
-                let end = now.after(noise.len() as u64 * byte);
+                let end = now.saturating_add(noise.len() as u64 * byte);
                 self.lines[line].noise.extend(noise);
                 self.enter_noise(line, now);
                 return end;
@@ -81,20 +81,20 @@ impl World<'_> {
                     self.lines[line].line.tamper(intruder, 0, Tamper::Framing);
                     self.enter_noise(line, now);
                 }
-                let end = now.after(span);
+                let end = now.saturating_add(span);
                 // the break itself is heard
-                let cut = if fault == Fault::LineBreak { now.after(byte) } else { now };
+                let cut = if fault == Fault::LineBreak { now.saturating_add(byte) } else { now };
                 self.lines[line].line.cut(cut, end);
                 return end;
             }
             Fault::DeviceDead => {
                 let device = self.random.index(self.lines[line].devices.len());
-                let end = now.after(span);
+                let end = now.saturating_add(span);
                 self.lines[line].devices[device].absent = end;
                 return end;
             }
             Fault::DeviceBabbles => {
-                let end = now.after(span);
+                let end = now.saturating_add(span);
                 let bytes = span / byte;
                 let noise: Vec<u8> = (0..bytes).map(|_| self.random.byte()).collect();
                 self.lines[line].noise.extend(noise);
@@ -134,16 +134,16 @@ impl World<'_> {
             }
             Fault::CanNoAcknowledgement => {
                 let all: Vec<usize> = (0..self.nodes.len()).collect();
-                self.darken(&all, now.after(span));
-                return now.after(span);
+                self.darken(&all, now.saturating_add(span));
+                return now.saturating_add(span);
             }
             Fault::CanDeviceDead => {
                 let node = self.random.index(self.nodes.len());
-                self.darken(&[node], now.after(span));
-                return now.after(span);
+                self.darken(&[node], now.saturating_add(span));
+                return now.saturating_add(span);
             }
             Fault::CanDominant => {
-                let end = now.after(span);
+                let end = now.saturating_add(span);
                 self.hold_can(end);
                 return end;
             }
@@ -152,7 +152,7 @@ impl World<'_> {
             | Fault::CanStandardFrames
             | Fault::CanForeignTransfer => {
                 let frames = self.foreign_frames(fault, own);
-                let end = now.after(self.can.bits(160) * frames.len() as u64);
+                let end = now.saturating_add(self.can.bits(160) * frames.len() as u64);
                 self.can.controllers[intruder].outbox.extend(frames);
                 self.move_can();
                 return end;
@@ -205,6 +205,6 @@ impl World<'_> {
         self.can_released = Some(end);
         self.can_looks_again(end);
         // the bus is looked at again when it is idle
-        self.can_looks_again(end.after(20 * MICROS));
+        self.can_looks_again(end.saturating_add(20 * MICROS));
     }
 }

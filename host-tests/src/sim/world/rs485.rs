@@ -17,7 +17,7 @@ impl World<'_> {
         bus.frame_start = self.now;
         let mute = std::mem::take(&mut bus.mute);
         if mute > 0 {
-            bus.line.mute(BRIDGE, self.now.after(mute));
+            bus.line.mute(BRIDGE, self.now.saturating_add(mute));
         }
         self.line_sends(line, BRIDGE, &[byte]);
     }
@@ -77,7 +77,7 @@ impl World<'_> {
         let bus = &mut self.lines[line];
         let hold = std::mem::take(&mut bus.hold);
         if hold > 0 {
-            bus.line.hold(BRIDGE, self.now.after(hold));
+            bus.line.hold(BRIDGE, self.now.saturating_add(hold));
         }
         self.notices.push_back(Notice::SerialFrame { port: bus.port, start: bus.frame_start });
         self.interrupt();
@@ -106,7 +106,7 @@ impl World<'_> {
             && self.now >= station.absent
             && let Some(deadline) = station.deadline()
         {
-            let at = Moment::of(deadline).max(self.now.after(1));
+            let at = Moment::of(deadline).max(self.now.saturating_add(1));
             station.polled = Some(at);
             self.agenda.enter(at, Event::DevicePoll { line, device });
         }
@@ -136,9 +136,9 @@ impl World<'_> {
             return;
         }
         // nobody could tell a reply that is later than this from the next one
-        let latest = self.now.after(3 * timeout);
-        let copy = again.map(|later| (self.now.after(delay + later), reply.clone()));
-        for (at, reply) in [Some((self.now.after(delay), reply)), copy].into_iter().flatten() {
+        let latest = self.now.saturating_add(3 * timeout);
+        let copy = again.map(|later| (self.now.saturating_add(delay + later), reply.clone()));
+        for (at, reply) in [Some((self.now.saturating_add(delay), reply)), copy].into_iter().flatten() {
             if let Some(at) = station.queue(at, latest, reply) {
                 self.agenda.enter(at, Event::DeviceReply { line, device });
             }

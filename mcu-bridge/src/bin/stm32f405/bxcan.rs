@@ -169,7 +169,7 @@ impl Received {
             _ => Id::Extended(identifier >> 3),
         };
         let remote = identifier & ir::REMOTE != 0;
-        Frame::from_wire(id, remote, (self.head >> 28) as u8, [a, b, c, d, e, f, g, h]).ok()
+        Frame::from_parts(id, remote, (self.head >> 28) as u8, [a, b, c, d, e, f, g, h]).ok()
     }
 }
 

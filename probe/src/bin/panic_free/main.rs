@@ -7,7 +7,7 @@
 
 mod can;
 mod common;
-mod deframe;
+mod decode;
 mod errors;
 mod modbus;
 mod ndam;
@@ -23,7 +23,7 @@ pub extern "C" fn _start() -> ! {
     loop {
         common::all();
         can::all();
-        deframe::all();
+        decode::all();
         errors::all();
         modbus::all();
         nst::all();

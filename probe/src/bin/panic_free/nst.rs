@@ -1,10 +1,10 @@
 //! `nst`: bodies, registers, the forms on serial lines, streams and CAN, and the dispatcher.
 
-use jointbus_protocol::deframe::{Expectation, Format};
-use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, part, segment};
+use jointbus_protocol::decode::{Framing, Match};
+use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, next_fragment, segment};
 use jointbus_protocol::nst::register::{self, SETTINGS_LENGTH};
 use jointbus_protocol::nst::{
-    AXES, Daq, FunctionCode, Hardware, RamHardware, Reply, Request, SAMPLE_LENGTH, Sample, SignEncoding,
+    AXES, Daq, FunctionCode, Hardware, RamHardware, Request, Response, SAMPLE_LENGTH, Sample, SignEncoding,
     StoreError, serial, stream,
 };
 use jointbus_protocol::wire::Writer;
@@ -43,10 +43,10 @@ fn request() -> Request<'static> {
     }
 }
 
-fn reply() -> Reply<'static> {
+fn reply() -> Response<'static> {
     match flag() {
-        true => Reply::Data { function: function(), data: bytes() },
-        false => Reply::Acknowledge { function: function(), length: byte() },
+        true => Response::Data { function: function(), data: bytes() },
+        false => Response::Acknowledge { function: function(), length: byte() },
     }
 }
 
@@ -56,14 +56,14 @@ fn requests() {
     sink((request.function().code(), request.function().is_read(), request.register(), request.length()));
     buffer::<300>(|space| sink(request.encode(&mut Writer::new(space))));
     sink(Request::decode(bytes()));
-    sink(part(&request, byte()));
+    sink(next_fragment(&request, byte()));
 }
 
 #[inline(never)]
 fn replies() {
     let reply = reply();
     buffer::<300>(|space| sink(reply.encode(&mut Writer::new(space))));
-    sink(Reply::decode(bytes()));
+    sink(Response::decode(bytes()));
 }
 
 #[inline(never)]
@@ -93,29 +93,29 @@ fn serial() {
     buffer::<300>(|space| sink(serial::encode_reply(byte(), &reply(), space)));
     sink(serial::Frame::decode(bytes()));
     sink(serial::request_length(bytes()));
-    sink(serial::Requests.length(bytes()));
-    sink(serial::Requests.is_valid(bytes()));
-    sink(serial::Requests.is_broadcast(bytes()));
-    let expected = serial::ExpectedReply::new(byte(), &request());
+    sink(serial::RequestFraming.length(bytes()));
+    sink(serial::RequestFraming.is_valid(bytes()));
+    sink(serial::RequestFraming.is_broadcast(bytes()));
+    let expected = serial::ExpectedResponse::new(byte(), &request());
     sink((expected.address(), expected.function(), expected.body_length()));
     sink(expected.lengths());
     sink(expected.accepts_body(bytes()));
-    sink(expected.accepts_quirk(bytes()));
+    sink(expected.accepts_legacy_code(bytes()));
     sink(expected.accepts(bytes()));
-    sink(Expectation::accepts(&expected, size(), bytes()));
+    sink(Match::accepts(&expected, size(), bytes()));
 }
 
 #[inline(never)]
 fn stream() {
     sink(stream::split(bytes()));
     sink(stream::request_length(bytes()));
-    sink(stream::Requests.length(bytes()));
-    sink(stream::Requests.is_valid(bytes()));
-    sink(stream::Requests.is_broadcast(bytes()));
-    sink(stream::Requests.forgives_stray_bytes());
-    let expected = stream::ExpectedReply::new(byte(), &request());
+    sink(stream::RequestFraming.length(bytes()));
+    sink(stream::RequestFraming.is_valid(bytes()));
+    sink(stream::RequestFraming.is_broadcast(bytes()));
+    sink(stream::RequestFraming.forgives_stray_bytes());
+    let expected = stream::ExpectedResponse::new(byte(), &request());
     sink(expected.lengths());
-    sink(Expectation::accepts(&expected, size(), bytes()));
+    sink(Match::accepts(&expected, size(), bytes()));
     buffer::<300>(|space| sink(stream::encode_request(byte(), &request(), space)));
     buffer::<300>(|space| sink(stream::encode_reply(byte(), &reply(), space)));
 }

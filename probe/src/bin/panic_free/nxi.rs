@@ -23,7 +23,7 @@ fn range() -> OutputRange {
 
 fn register() -> Option<Register> {
     match any(0) {
-        0 => Some(Register::Range(size())),
+        0 => Some(Register::AddressRange(size())),
         1 => Some(Register::SetValue(size())),
         2 => Some(Register::Output(size())),
         3 => Some(Register::StartEnable(size())),
@@ -51,7 +51,7 @@ fn settings() -> Settings {
 #[inline(never)]
 fn registers() {
     let range = range();
-    sink((range.value(), range.limit(), range.holds(f32::from_bits(long()))));
+    sink((range.value(), range.limit(), range.contains(f32::from_bits(long()))));
     sink(External::from_value(long()).map(External::value));
     let mut settings = settings();
     if let Some(register) = register() {

@@ -62,7 +62,7 @@ pub(crate) fn span() -> Duration {
 /// Any CAN frame that can be made.
 pub(crate) fn can_frame() -> Option<Frame> {
     let id = if flag() { Id::Standard(word()) } else { Id::Extended(long()) };
-    Frame::from_wire(id, flag(), byte(), any([0; 8])).ok()
+    Frame::from_parts(id, flag(), byte(), any([0; 8])).ok()
 }
 
 /// Hands any part of a buffer of `N` bytes to `user`.

@@ -1,4 +1,4 @@
-use super::Silence;
+use super::NoResponse;
 use super::owner::Server;
 use super::respond::{answer, respond};
 use crate::checksum::{self, CRC_LENGTH};
@@ -12,13 +12,13 @@ use crate::wire::{NoSpace, Writer};
 /// A broadcast that writes is carried out and never answered.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn rtu<'b>(
     server: &mut impl Server,
     unit: u8,
     frame: &[u8],
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
+) -> Result<&'b [u8], NoResponse> {
     rtu_with(checksum::crc16, server, unit, frame, out)
 }
 
@@ -26,72 +26,72 @@ pub fn rtu<'b>(
 /// [`checksum::crc16_bitwise`] where flash is dearer than time, or a function of the board that uses its CRC unit.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn rtu_with<'b>(
     crc16: impl Fn(&[u8]) -> u16,
     server: &mut impl Server,
     unit: u8,
     frame: &[u8],
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
+) -> Result<&'b [u8], NoResponse> {
     if frame.len() < FRAME_MIN || frame.len() > FRAME_MAX {
-        return Err(Silence::Frame(FrameError::Length));
+        return Err(NoResponse::Frame(FrameError::Length));
     }
     let (Some((content, crc)), Some((&to, _))) =
         (frame.split_last_chunk::<CRC_LENGTH>(), frame.split_first())
     else {
-        return Err(Silence::Frame(FrameError::Length));
+        return Err(NoResponse::Frame(FrameError::Length));
     };
     // a frame for another unit need not be right
     if to != unit && to != BROADCAST {
-        return Err(Silence::OtherUnit);
+        return Err(NoResponse::OtherUnit);
     }
     if crc16(content) != u16::from_le_bytes(*crc) {
-        return Err(Silence::Frame(FrameError::Checksum));
+        return Err(NoResponse::Frame(FrameError::Checksum));
     }
     // the CRC must find room after the owner was called
-    let room = out.len().checked_sub(CRC_LENGTH).ok_or(Silence::NoSpace)?;
+    let room = out.len().checked_sub(CRC_LENGTH).ok_or(NoResponse::NoSpace)?;
     let used = usize::from(serial(server, content, out.get_mut(..room).unwrap_or(&mut []))?);
-    let (head, rest) = out.split_at_mut_checked(used).ok_or(Silence::NoSpace)?;
-    let place = rest.first_chunk_mut::<CRC_LENGTH>().ok_or(Silence::NoSpace)?;
+    let (head, rest) = out.split_at_mut_checked(used).ok_or(NoResponse::NoSpace)?;
+    let place = rest.first_chunk_mut::<CRC_LENGTH>().ok_or(NoResponse::NoSpace)?;
     *place = crc16(head).to_le_bytes();
-    out.get(..used.saturating_add(CRC_LENGTH)).ok_or(Silence::NoSpace)
+    out.get(..used.saturating_add(CRC_LENGTH)).ok_or(NoResponse::NoSpace)
 }
 
 /// Answers a frame of Modbus ASCII to `unit`, or to all, into `out`: the whole frame in characters.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn ascii<'b>(
     server: &mut impl Server,
     unit: u8,
     frame: &ascii::Frame<'_>,
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
+) -> Result<&'b [u8], NoResponse> {
     if frame.unit != unit && frame.unit != BROADCAST {
-        return Err(Silence::OtherUnit);
+        return Err(NoResponse::OtherUnit);
     }
     // bytes become characters after the owner was called
     let room = ascii::content_length(out.len());
     let used = parts(server, frame.unit, frame.pdu, out.get_mut(..room).unwrap_or(&mut []))?;
-    ascii::spread(out, used.into()).map_err(|NoSpace| Silence::NoSpace)
+    ascii::spread(out, used.into()).map_err(|NoSpace| NoResponse::NoSpace)
 }
 
 /// Answers a frame of Modbus TCP into `out`. Whether its unit is meant is for the caller to know: most servers answer
 /// every one. There is no broadcast.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn tcp<'b>(
     server: &mut impl Server,
     frame: &tcp::Frame<'_>,
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
-    let (header, rest) = out.split_at_mut_checked(tcp::HEADER_LENGTH).ok_or(Silence::NoSpace)?;
+) -> Result<&'b [u8], NoResponse> {
+    let (header, rest) = out.split_at_mut_checked(tcp::HEADER_LENGTH).ok_or(NoResponse::NoSpace)?;
     let length = respond(server, frame.pdu, rest)?.len();
-    let filled = tcp::Header::of(frame.transaction, frame.unit, length).map_err(|_| Silence::NoSpace)?;
+    let filled = tcp::Header::of(frame.transaction, frame.unit, length).map_err(|_| NoResponse::NoSpace)?;
     header.copy_from_slice(&filled.to_bytes());
-    out.get(..tcp::HEADER_LENGTH.saturating_add(length)).ok_or(Silence::NoSpace)
+    out.get(..tcp::HEADER_LENGTH.saturating_add(length)).ok_or(NoResponse::NoSpace)
 }
 
 /// [`Request::is_read`](crate::modbus::Request::is_read), told by the first bytes.
@@ -101,24 +101,24 @@ fn reads(pdu: &[u8]) -> bool {
 }
 
 /// Unit address and data unit of the response to a request of both; their length.
-fn serial(server: &mut impl Server, request: &[u8], out: &mut [u8]) -> Result<u16, Silence> {
-    let (&to, pdu) = request.split_first().ok_or(Silence::NoRequest)?;
+fn serial(server: &mut impl Server, request: &[u8], out: &mut [u8]) -> Result<u16, NoResponse> {
+    let (&to, pdu) = request.split_first().ok_or(NoResponse::NoRequest)?;
     parts(server, to, pdu, out)
 }
 
 /// [`serial`] of a request in two parts.
-fn parts(server: &mut impl Server, to: u8, pdu: &[u8], out: &mut [u8]) -> Result<u16, Silence> {
+fn parts(server: &mut impl Server, to: u8, pdu: &[u8], out: &mut [u8]) -> Result<u16, NoResponse> {
     let broadcast = to == BROADCAST;
     if broadcast && reads(pdu) {
-        return Err(Silence::BroadcastRead);
+        return Err(NoResponse::BroadcastRead);
     }
     let mut writer = Writer::new(out);
-    writer.u8(to).map_err(|NoSpace| Silence::NoSpace)?;
+    writer.u8(to).map_err(|NoSpace| NoResponse::NoSpace)?;
     let exception = answer(server, pdu, &mut writer)?;
     if broadcast {
-        return Err(Silence::Broadcast(exception));
+        return Err(NoResponse::Broadcast(exception));
     }
-    u16::try_from(writer.written().len()).map_err(|_| Silence::NoSpace)
+    u16::try_from(writer.written().len()).map_err(|_| NoResponse::NoSpace)
 }
 
 #[cfg(test)]
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
     use crate::modbus::rtu::{encode_request, encode_response};
     use crate::modbus::server::RamTables;
-    use crate::modbus::{ExceptionCode, Range, Request, Response};
+    use crate::modbus::{AddressRange, ExceptionCode, Request, Response};
     use std::vec::Vec;
 
     type Tables = RamTables<0, 0, 4, 0>;
@@ -146,7 +146,7 @@ mod tests {
         for crc in [checksum::crc16, checksum::crc16_sliced, checksum::crc16_small, checksum::crc16_bitwise] {
             assert_eq!(rtu_with(crc, &mut Tables::new(), 7, &frame, &mut out), Ok(&frame[..]));
         }
-        let read = request(7, &Request::ReadHoldingRegisters(Range::new(4, 1)));
+        let read = request(7, &Request::ReadHoldingRegisters(AddressRange::new(4, 1)));
         let function = FunctionCode::ReadHoldingRegisters;
         let refusal = Response::exception(function, ExceptionCode::IllegalDataAddress);
         let expected = encode_response(7, &refusal, &mut [0; 8]).unwrap().to_vec();
@@ -157,18 +157,18 @@ mod tests {
     fn silence_has_a_reason() {
         let (mut tables, mut out) = (Tables::new(), [0; FRAME_MAX]);
         let mut serve = |frame: &[u8]| rtu(&mut tables, 7, frame, &mut out).map(<[u8]>::to_vec);
-        assert_eq!(serve(&request(8, &WRITE)), Err(Silence::OtherUnit));
-        assert_eq!(serve(&[7, 3, 0]), Err(Silence::Frame(FrameError::Length)));
-        assert_eq!(serve(&[7; 257]), Err(Silence::Frame(FrameError::Length)));
-        assert_eq!(serve(&[7, 3, 0, 0]), Err(Silence::Frame(FrameError::Checksum)));
-        assert_eq!(serve(&request(0, &WRITE)), Err(Silence::Broadcast(None)));
+        assert_eq!(serve(&request(8, &WRITE)), Err(NoResponse::OtherUnit));
+        assert_eq!(serve(&[7, 3, 0]), Err(NoResponse::Frame(FrameError::Length)));
+        assert_eq!(serve(&[7; 257]), Err(NoResponse::Frame(FrameError::Length)));
+        assert_eq!(serve(&[7, 3, 0, 0]), Err(NoResponse::Frame(FrameError::Checksum)));
+        assert_eq!(serve(&request(0, &WRITE)), Err(NoResponse::Broadcast(None)));
         let past = Request::WriteSingleRegister { address: 4, value: 0 };
-        let refused = Silence::Broadcast(Some(ExceptionCode::IllegalDataAddress));
+        let refused = NoResponse::Broadcast(Some(ExceptionCode::IllegalDataAddress));
         assert_eq!(serve(&request(0, &past)), Err(refused));
-        let read = Request::ReadHoldingRegisters(Range::new(0, 1));
-        assert_eq!(serve(&request(0, &read)), Err(Silence::BroadcastRead));
+        let read = Request::ReadHoldingRegisters(AddressRange::new(0, 1));
+        assert_eq!(serve(&request(0, &read)), Err(NoResponse::BroadcastRead));
         let other = Request::Other { function: FunctionCode::Unknown(0x83), data: &[2] };
-        assert_eq!(serve(&request(7, &other)), Err(Silence::NoRequest), "the response of another one");
+        assert_eq!(serve(&request(7, &other)), Err(NoResponse::NoRequest), "the response of another one");
         assert_eq!(tables.holding_registers, [0, 0x0203, 0, 0], "by broadcast");
     }
 
@@ -183,19 +183,19 @@ mod tests {
         for space in 0..ascii_length {
             let mut out = [0; 32];
             if space < frame.len() {
-                assert_eq!(rtu(&mut tables, 7, &frame, &mut out[..space]), Err(Silence::NoSpace));
+                assert_eq!(rtu(&mut tables, 7, &frame, &mut out[..space]), Err(NoResponse::NoSpace));
             }
             if space < content.len() + tcp::HEADER_LENGTH - 1 {
-                assert_eq!(tcp(&mut tables, &in_tcp, &mut out[..space]), Err(Silence::NoSpace));
+                assert_eq!(tcp(&mut tables, &in_tcp, &mut out[..space]), Err(NoResponse::NoSpace));
             }
-            assert_eq!(ascii(&mut tables, 7, &in_ascii, &mut out[..space]), Err(Silence::NoSpace));
+            assert_eq!(ascii(&mut tables, 7, &in_ascii, &mut out[..space]), Err(NoResponse::NoSpace));
             assert_eq!(tables, Tables::new(), "{space}");
         }
         let mut out = [0; 32];
         assert_eq!(ascii(&mut tables, 7, &in_ascii, &mut out), Ok(&characters[..ascii_length]));
-        assert_eq!(ascii(&mut tables, 9, &in_ascii, &mut out), Err(Silence::OtherUnit));
+        assert_eq!(ascii(&mut tables, 9, &in_ascii, &mut out), Err(NoResponse::OtherUnit));
         let everyone = ascii::Frame { unit: 0, ..in_ascii };
-        assert_eq!(ascii(&mut tables, 9, &everyone, &mut out), Err(Silence::Broadcast(None)));
+        assert_eq!(ascii(&mut tables, 9, &everyone, &mut out), Err(NoResponse::Broadcast(None)));
         let expected = [0, 1, 0, 0, 0, 6, 7, 6, 0, 1, 2, 3];
         assert_eq!(tcp(&mut tables, &in_tcp, &mut out), Ok(&expected[..]));
     }

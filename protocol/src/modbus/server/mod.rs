@@ -23,5 +23,5 @@ pub use owner::{Failure, Server};
 pub use ram::RamTables;
 pub use respond::respond;
 pub(crate) use respond::{complete, data_unit, reading, written};
-pub use serial::{Audience, Silence, malformed, serve_ascii, serve_rtu};
+pub use serial::{Destination, NoResponse, exception_for, serve_ascii, serve_rtu};
 pub use view::{BitWriter, Bits, RegisterWriter, Registers};

@@ -1,6 +1,6 @@
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
-use crate::modbus::identification::{Conformity, ObjectId};
-use crate::modbus::{Diagnostic, ExceptionCode, FunctionCode, Range};
+use crate::modbus::identification::{ConformityLevel, ObjectId};
+use crate::modbus::{AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode};
 use crate::wire::{NoSpace, Truncated};
 
 /// An owner of coils, inputs and registers. What it does not have it leaves out: its function codes are answered with
@@ -19,25 +19,29 @@ use crate::wire::{NoSpace, Truncated};
 pub trait Server {
     /// Whether a function code is supported: if not, the answer is exception 01 whatever else is wrong. By default the
     /// [basic](FunctionCode::is_basic) ones; who writes a method for another one names its code here, and who leaves one
-    /// of the basic ones out says so, lest a malformed request for it is answered with exception 03.
+    /// of the basic ones out says so, lest a exception_for request for it is answered with exception 03.
     fn supports(&self, function: FunctionCode) -> bool {
         function.is_basic()
     }
 
     /// Function code 01: coils (6.1).
-    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 02: discrete inputs (6.2).
-    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        range: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 03: holding registers (6.3).
     fn read_holding_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
@@ -46,24 +50,28 @@ pub trait Server {
     /// Function code 04: input registers (6.4).
     fn read_input_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function codes 05 and 0F: coils (6.5, 6.11).
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function codes 06 and 10: holding registers (6.6, 6.12).
-    fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(
+        &mut self,
+        range: AddressRange,
+        registers: Registers<'_>,
+    ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
     /// Function code 16: the register becomes its value and `and`, or `or` without `and` (6.16).
-    /// [`masked`](crate::modbus::masked) computes that.
+    /// [`apply_mask`](crate::modbus::apply_mask) computes that.
     fn mask_write_register(&mut self, address: u16, and: u16, or: u16) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
@@ -71,9 +79,9 @@ pub trait Server {
     /// Function code 17: writes registers, then reads registers (6.17). Both ranges are to be judged first.
     fn read_write_registers(
         &mut self,
-        write: Range,
+        write: AddressRange,
         values: Registers<'_>,
-        read: Range,
+        read: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
@@ -84,10 +92,14 @@ pub trait Server {
         Err(ExceptionCode::IllegalFunction)
     }
 
-    /// Function code 08 (6.8): `data` is the request's, one register but for [`Diagnostic::ReturnQueryData`], and is
+    /// Function code 08 (6.8): `data` is the request's, one register but for [`DiagnosticSubfunction::ReturnQueryData`], and is
     /// sent back, with a counter or register in place of its first one if there is `Some`.
-    /// [`Diagnostic::ForceListenOnly`] never comes here, since it is never answered: exception 01.
-    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+    /// [`DiagnosticSubfunction::ForceListenOnly`] never comes here, since it is never answered: exception 01.
+    fn diagnostics(
+        &mut self,
+        subfunction: DiagnosticSubfunction,
+        data: Registers<'_>,
+    ) -> Result<Option<u16>, ExceptionCode> {
         Err(ExceptionCode::IllegalFunction)
     }
 
@@ -104,8 +116,8 @@ pub trait Server {
     }
 
     /// Function code 2B with MEI type 0E (6.21): which objects there are.
-    fn conformity(&self) -> Conformity {
-        Conformity::BasicIndividual
+    fn conformity(&self) -> ConformityLevel {
+        ConformityLevel::BasicIndividual
     }
 
     /// An object of the device identification, at most [`OBJECT_MAX`](crate::modbus::identification::OBJECT_MAX) bytes; a longer one is cut. 00 to 02 are

@@ -1,6 +1,6 @@
 use super::owner::Server;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
-use crate::modbus::{ExceptionCode, FunctionCode, Range, masked};
+use crate::modbus::{AddressRange, ExceptionCode, FunctionCode, apply_mask};
 
 /// Tables in memory, each from address 0 on: a [`Server`] of function codes 01 to 06, 0F, 10, 16 and 17.
 ///
@@ -42,12 +42,12 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
 
 const ABSENT: ExceptionCode = ExceptionCode::IllegalDataAddress;
 
-fn end(range: Range) -> usize {
+fn end(range: AddressRange) -> usize {
     usize::from(range.start).saturating_add(range.quantity.into())
 }
 
 #[inline]
-fn read_bits(table: &[u8], range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+fn read_bits(table: &[u8], range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
     if end(range) > table.len().saturating_mul(8) {
         return Err(ABSENT);
     }
@@ -55,7 +55,7 @@ fn read_bits(table: &[u8], range: Range, bits: &mut BitWriter<'_>) -> Result<(),
     Ok(())
 }
 
-fn read(table: &[u16], range: Range, registers: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+fn read(table: &[u16], range: AddressRange, registers: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
     registers.extend(table.get(range.start.into()..end(range)).ok_or(ABSENT)?.iter().copied());
     Ok(())
 }
@@ -78,17 +78,21 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
         }
     }
 
-    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         read_bits(&self.coils, range, bits)
     }
 
-    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        range: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         read_bits(&self.discrete_inputs, range, bits)
     }
 
     fn read_holding_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         read(&self.holding_registers, range, registers)
@@ -96,13 +100,13 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
 
     fn read_input_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         read(&self.input_registers, range, registers)
     }
 
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         if end(range) > COILS.saturating_mul(8) {
             return Err(ABSENT);
         }
@@ -110,7 +114,11 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
         Ok(())
     }
 
-    fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(
+        &mut self,
+        range: AddressRange,
+        registers: Registers<'_>,
+    ) -> Result<(), ExceptionCode> {
         let table = self.holding_registers.get_mut(range.start.into()..end(range)).ok_or(ABSENT)?;
         registers.copy_to(table);
         Ok(())
@@ -118,15 +126,15 @@ impl<const COILS: usize, const DISCRETE: usize, const HOLDING: usize, const INPU
 
     fn mask_write_register(&mut self, address: u16, and: u16, or: u16) -> Result<(), ExceptionCode> {
         let register = self.holding_registers.get_mut(usize::from(address)).ok_or(ABSENT)?;
-        *register = masked(*register, and, or);
+        *register = apply_mask(*register, and, or);
         Ok(())
     }
 
     fn read_write_registers(
         &mut self,
-        write: Range,
+        write: AddressRange,
         values: Registers<'_>,
-        range: Range,
+        range: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         if end(range) > HOLDING {

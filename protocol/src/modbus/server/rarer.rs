@@ -1,9 +1,9 @@
 use super::owner::{Failure, Server};
 use super::respond::{bytes_of_registers, complete, echo, judge, reading};
 use super::view::{RegisterWriter, Registers};
-use crate::modbus::identification::{self, Category, MEI_TYPE, OBJECT_MAX, ObjectId};
+use crate::modbus::identification::{self, MEI_TYPE, OBJECT_MAX, ObjectId, ReadDeviceIdCode};
 use crate::modbus::{
-    Diagnostic, ExceptionCode, PDU_MAX, READ_REGISTERS_MAX, READ_WRITE_REGISTERS_MAX, Request,
+    DiagnosticSubfunction, ExceptionCode, PDU_MAX, READ_REGISTERS_MAX, READ_WRITE_REGISTERS_MAX, Request,
 };
 use crate::wire::Writer;
 
@@ -32,7 +32,7 @@ pub(super) fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_
             let place = writer.reserve(1)?;
             place.fill(server.exception_status()?);
         }
-        Request::Diagnostics { what, data } => diagnose(server, what, data, writer)?,
+        Request::Diagnostics { subfunction, data } => diagnose(server, subfunction, data, writer)?,
         Request::GetCommEventCounter => {
             let mut place = RegisterWriter::new(writer.reserve(4)?);
             let (status, events) = server.comm_event_counter()?;
@@ -52,24 +52,24 @@ pub(super) fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_
 
 fn diagnose(
     server: &mut impl Server,
-    what: Diagnostic,
+    subfunction: DiagnosticSubfunction,
     data: &[u8],
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
-    if what == Diagnostic::ForceListenOnly {
+    if subfunction == DiagnosticSubfunction::ForceListenOnly {
         return Err(ExceptionCode::IllegalFunction.into());
     }
-    let fits = match what {
-        Diagnostic::ReturnQueryData => data.len().is_multiple_of(2) && !data.is_empty(),
+    let fits = match subfunction {
+        DiagnosticSubfunction::ReturnQueryData => data.len().is_multiple_of(2) && !data.is_empty(),
         _ => data.len() == 2,
     };
     if !fits {
         return Err(ExceptionCode::IllegalDataValue.into());
     }
-    writer.u16_be(what.code())?;
+    writer.u16_be(subfunction.code())?;
     let place = writer.reserve(data.len())?;
     place.copy_from_slice(data);
-    if let Some(answer) = server.diagnostics(what, Registers::new(data))? {
+    if let Some(answer) = server.diagnostics(subfunction, Registers::new(data))? {
         RegisterWriter::new(place).push(answer);
     }
     Ok(())
@@ -79,21 +79,21 @@ fn diagnose(
 /// the first one of all (6.21).
 fn identify(
     server: &mut impl Server,
-    category: Category,
+    category: ReadDeviceIdCode,
     object: ObjectId,
     writer: &mut Writer<'_>,
 ) -> Result<(), Failure> {
     let conformity = server.conformity();
     let (first, last) = match category {
-        Category::Unknown(_) => return Err(ExceptionCode::IllegalDataValue.into()),
-        Category::Individual if !conformity.is_individual() => {
+        ReadDeviceIdCode::Unknown(_) => return Err(ExceptionCode::IllegalDataValue.into()),
+        ReadDeviceIdCode::Individual if !conformity.is_individual() => {
             return Err(ExceptionCode::IllegalDataValue.into());
         }
-        Category::Individual if server.identification(object).is_none() => {
+        ReadDeviceIdCode::Individual if server.identification(object).is_none() => {
             return Err(ExceptionCode::IllegalDataAddress.into());
         }
-        Category::Individual => (object.code(), object.code()),
-        Category::Basic | Category::Regular | Category::Extended => {
+        ReadDeviceIdCode::Individual => (object.code(), object.code()),
+        ReadDeviceIdCode::Basic | ReadDeviceIdCode::Regular | ReadDeviceIdCode::Extended => {
             let offered = conformity.category().last_object().map_or(0, ObjectId::code);
             let last = category.last_object().map_or(0, ObjectId::code).min(offered);
             let known = object.code() <= last && server.identification(object).is_some();

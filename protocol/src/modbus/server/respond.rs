@@ -1,10 +1,10 @@
-use super::Silence;
+use super::NoResponse;
 use super::owner::{Failure, Server};
 use super::rarer::rarer;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{
-    COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, READ_BITS_MAX, READ_REGISTERS_MAX, Range, Request,
-    WRITE_BITS_MAX, WRITE_REGISTERS_MAX, bytes_of_bits,
+    AddressRange, COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, READ_BITS_MAX, READ_REGISTERS_MAX, Request,
+    WRITE_BITS_MAX, WRITE_REGISTERS_MAX, packed_len,
 };
 use crate::wire::{NoSpace, Writer};
 
@@ -13,8 +13,8 @@ use crate::wire::{NoSpace, Writer};
 /// `out` must have room for the response even where an exception is the answer; [`PDU_MAX`](crate::modbus::PDU_MAX) bytes hold any.
 ///
 /// # Errors
-/// [`Silence::NoRequest`] or [`Silence::NoSpace`]; nothing has been written then.
-pub fn respond<'b>(server: &mut impl Server, pdu: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], Silence> {
+/// [`NoResponse::NoRequest`] or [`NoResponse::NoSpace`]; nothing has been written then.
+pub fn respond<'b>(server: &mut impl Server, pdu: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
     let mut writer = Writer::new(out);
     answer(server, pdu, &mut writer)?;
     Ok(writer.finish())
@@ -25,8 +25,8 @@ pub(super) fn answer(
     server: &mut impl Server,
     pdu: &[u8],
     writer: &mut Writer<'_>,
-) -> Result<Option<ExceptionCode>, Silence> {
-    let Some((&code @ 0x01..0x80, data)) = pdu.split_first() else { return Err(Silence::NoRequest) };
+) -> Result<Option<ExceptionCode>, NoResponse> {
+    let Some((&code @ 0x01..0x80, data)) = pdu.split_first() else { return Err(NoResponse::NoRequest) };
     let function = FunctionCode::from_code(code);
     let start = writer.written().len();
     let result = if !server.supports(function) {
@@ -36,7 +36,7 @@ pub(super) fn answer(
     } else {
         rarer(server, pdu, writer)
     };
-    conclude(result, code, start, writer).map_err(|NoSpace| Silence::NoSpace)
+    conclude(result, code, start, writer).map_err(|NoSpace| NoResponse::NoSpace)
 }
 
 /// Puts an exception in place of a response that was begun at `start`, if there is one; tells it.
@@ -82,12 +82,12 @@ fn basic(
     let Some((&head @ [a, b, c, d], data)) = data.split_first_chunk() else {
         return Err(ExceptionCode::IllegalDataValue.into());
     };
-    let range @ Range { start: address, quantity: value } =
-        Range::new(u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+    let range @ AddressRange { start: address, quantity: value } =
+        AddressRange::new(u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
     match function {
         F::ReadCoils | F::ReadDiscreteInputs => {
             judge(range, READ_BITS_MAX, data.is_empty())?;
-            let data = reading(code, bytes_of_bits(range.quantity), writer)?;
+            let data = reading(code, packed_len(range.quantity), writer)?;
             let mut bits = BitWriter::new(data, range.quantity);
             match function {
                 F::ReadCoils => server.read_coils(range, &mut bits)?,
@@ -112,17 +112,17 @@ fn basic(
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
             echoed(code, head, writer)?;
-            server.write_coils(Range::new(address, 1), Bits::new(&[on], 1))?;
+            server.write_coils(AddressRange::new(address, 1), Bits::new(&[on], 1))?;
         }
         F::WriteSingleRegister => {
             if !data.is_empty() {
                 return Err(ExceptionCode::IllegalDataValue.into());
             }
             echoed(code, head, writer)?;
-            server.write_registers(Range::new(address, 1), Registers::new(&[c, d]))?;
+            server.write_registers(AddressRange::new(address, 1), Registers::new(&[c, d]))?;
         }
         F::WriteMultipleCoils => {
-            let values = counted(range, WRITE_BITS_MAX, bytes_of_bits(range.quantity), data)?;
+            let values = counted(range, WRITE_BITS_MAX, packed_len(range.quantity), data)?;
             echoed(code, head, writer)?;
             server.write_coils(range, Bits::new(values, range.quantity))?;
         }
@@ -137,7 +137,7 @@ fn basic(
 }
 
 /// The values of a write of many: `data` is their byte count, which is to be `bytes`, and as many bytes.
-fn counted(range: Range, max: u16, bytes: usize, data: &[u8]) -> Result<&[u8], ExceptionCode> {
+fn counted(range: AddressRange, max: u16, bytes: usize, data: &[u8]) -> Result<&[u8], ExceptionCode> {
     let (count, values) = data.split_first().ok_or(ExceptionCode::IllegalDataValue)?;
     judge(range, max, values.len() == bytes && usize::from(*count) == bytes)?;
     Ok(values)
@@ -179,7 +179,7 @@ pub(crate) fn written(
 }
 
 /// Quantity and what depends on it (exception 03), then the address (exception 02).
-pub(super) fn judge(range: Range, max: u16, fits: bool) -> Result<(), ExceptionCode> {
+pub(super) fn judge(range: AddressRange, max: u16, fits: bool) -> Result<(), ExceptionCode> {
     if range.quantity == 0 || range.quantity > max || !fits {
         return Err(ExceptionCode::IllegalDataValue);
     }

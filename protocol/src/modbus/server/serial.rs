@@ -9,7 +9,7 @@ use crate::wire::{NoSpace, Writer};
 /// To whom a unit address speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Audience {
+pub enum Destination {
     /// To this server alone: it answers.
     Unit,
     /// To every server: writes only, never answered.
@@ -21,7 +21,7 @@ pub enum Audience {
 /// Why a frame is not answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Silence {
+pub enum NoResponse {
     /// Length or CRC are wrong.
     Frame(FrameError),
     /// For another unit.
@@ -41,18 +41,18 @@ pub enum Silence {
 /// `out` must have room for the response, also where a broadcast has none.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn serve_rtu<'b>(
     frame: &[u8],
-    audience: impl FnOnce(u8) -> Audience,
+    audience: impl FnOnce(u8) -> Destination,
     dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
-    let Frame { unit, pdu } = Frame::decode(frame).map_err(Silence::Frame)?;
+) -> Result<&'b [u8], NoResponse> {
+    let Frame { unit, pdu } = Frame::decode(frame).map_err(NoResponse::Frame)?;
     // the CRC must find room after what was asked has been done
-    let room = out.len().checked_sub(CRC_LENGTH).ok_or(Silence::NoSpace)?;
+    let room = out.len().checked_sub(CRC_LENGTH).ok_or(NoResponse::NoSpace)?;
     let used = judge(unit, pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
-    let frame = out.get_mut(..used.saturating_add(CRC_LENGTH)).ok_or(Silence::NoSpace)?;
+    let frame = out.get_mut(..used.saturating_add(CRC_LENGTH)).ok_or(NoResponse::NoSpace)?;
     checksum::close(frame);
     Ok(frame)
 }
@@ -60,52 +60,52 @@ pub fn serve_rtu<'b>(
 /// [`serve_rtu`] for a frame of Modbus ASCII; the answer is the whole frame in characters.
 ///
 /// # Errors
-/// [`Silence`]: why there is no answer.
+/// [`NoResponse`]: why there is no answer.
 pub fn serve_ascii<'b>(
     frame: &ascii::Frame<'_>,
-    audience: impl FnOnce(u8) -> Audience,
+    audience: impl FnOnce(u8) -> Destination,
     dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
     out: &'b mut [u8],
-) -> Result<&'b [u8], Silence> {
+) -> Result<&'b [u8], NoResponse> {
     // bytes become characters after what was asked has been done
     let room = ascii::content_length(out.len());
     let used = judge(frame.unit, frame.pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
-    ascii::spread(out, used).map_err(|NoSpace| Silence::NoSpace)
+    ascii::spread(out, used).map_err(|NoSpace| NoResponse::NoSpace)
 }
 
 /// Writes unit address and data unit of the response; its length.
 fn judge(
     unit: u8,
     pdu: &[u8],
-    audience: impl FnOnce(u8) -> Audience,
+    audience: impl FnOnce(u8) -> Destination,
     dispatch: impl FnOnce(u8, &Request<'_>, &mut Writer<'_>) -> Result<(), Failure>,
     out: &mut [u8],
-) -> Result<usize, Silence> {
+) -> Result<usize, NoResponse> {
     let audience = audience(unit);
-    if audience == Audience::Other {
-        return Err(Silence::OtherUnit);
+    if audience == Destination::Other {
+        return Err(NoResponse::OtherUnit);
     }
-    let Some(code @ 0x01..0x80) = pdu.first().copied() else { return Err(Silence::NoRequest) };
+    let Some(code @ 0x01..0x80) = pdu.first().copied() else { return Err(NoResponse::NoRequest) };
     let mut writer = Writer::new(out);
-    writer.u8(unit).map_err(|NoSpace| Silence::NoSpace)?;
+    writer.u8(unit).map_err(|NoSpace| NoResponse::NoSpace)?;
     let result = match Request::decode(pdu) {
-        Ok(request) if audience == Audience::Broadcast && request.is_read() => {
-            return Err(Silence::BroadcastRead);
+        Ok(request) if audience == Destination::Broadcast && request.is_read() => {
+            return Err(NoResponse::BroadcastRead);
         }
         Ok(request) => dispatch(unit, &request, &mut writer),
-        Err(error) => Err(malformed(error).1.into()),
+        Err(error) => Err(exception_for(error).1.into()),
     };
-    let exception = conclude(result, code, 1, &mut writer).map_err(|NoSpace| Silence::NoSpace)?;
+    let exception = conclude(result, code, 1, &mut writer).map_err(|NoSpace| NoResponse::NoSpace)?;
     match audience {
-        Audience::Broadcast => Err(Silence::Broadcast(exception)),
-        Audience::Unit | Audience::Other => Ok(writer.written().len()),
+        Destination::Broadcast => Err(NoResponse::Broadcast(exception)),
+        Destination::Unit | Destination::Other => Ok(writer.written().len()),
     }
 }
 
 /// What refuses bytes that are no request: exception 03 where a length or byte count does not fit a function code of the
 /// devices in this crate, 01 for the others.
 #[must_use]
-pub const fn malformed(error: RequestError) -> (FunctionCode, ExceptionCode) {
+pub const fn exception_for(error: RequestError) -> (FunctionCode, ExceptionCode) {
     match error {
         RequestError::Empty => (FunctionCode::Unknown(0), ExceptionCode::IllegalFunction),
         RequestError::Length(function) if function.is_basic() => (function, ExceptionCode::IllegalDataValue),
@@ -114,13 +114,13 @@ pub const fn malformed(error: RequestError) -> (FunctionCode, ExceptionCode) {
 }
 
 error_text! {
-    Silence {
-        Silence::Frame(error) => ("{error}"),
-        Silence::OtherUnit => ("for another unit"),
-        Silence::Broadcast(None) => ("a broadcast, carried out"),
-        Silence::Broadcast(Some(exception)) => ("a broadcast, refused: {exception}"),
-        Silence::BroadcastRead => ("a broadcast that does not write"),
-        Silence::NoRequest => ("a function code that asks nothing"),
-        Silence::NoSpace => ("the response does not fit the buffer"),
+    NoResponse {
+        NoResponse::Frame(error) => ("{error}"),
+        NoResponse::OtherUnit => ("for another unit"),
+        NoResponse::Broadcast(None) => ("a broadcast, carried out"),
+        NoResponse::Broadcast(Some(exception)) => ("a broadcast, refused: {exception}"),
+        NoResponse::BroadcastRead => ("a broadcast that does not write"),
+        NoResponse::NoRequest => ("a function code that asks nothing"),
+        NoResponse::NoSpace => ("the response does not fit the buffer"),
     }
 }

@@ -1,9 +1,10 @@
 //! What every function code answers, whoever owns what is behind it.
 
-use super::{BitWriter, Bits, RegisterWriter, Registers, Server, Silence, respond};
-use crate::modbus::identification::{Conformity, ObjectId};
+use super::{BitWriter, Bits, NoResponse, RegisterWriter, Registers, Server, respond};
+use crate::modbus::identification::{ConformityLevel, ObjectId};
 use crate::modbus::{
-    Diagnostic, ExceptionCode, FunctionCode, PDU_MAX, Range, Request, Response, bytes_of_bits, masked,
+    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, Request, Response, apply_mask,
+    packed_len,
 };
 use std::string::String;
 use std::vec::Vec;
@@ -29,17 +30,21 @@ impl Server for Owner {
     fn supports(&self, function: FunctionCode) -> bool {
         !matches!(function, FunctionCode::Unknown(_) | FunctionCode::GetCommEventLog)
     }
-    fn read_coils(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         bits.extend(core::iter::repeat(true));
         self.call(std::format!("coils {}+{}", range.start, range.quantity))
     }
-    fn read_discrete_inputs(&mut self, range: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        range: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         bits.extend(core::iter::repeat_n(false, usize::from(range.quantity - self.withheld)));
         self.call(std::format!("inputs {}+{}", range.start, range.quantity))
     }
     fn read_holding_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         to: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         to.extend(range.addresses().skip(self.withheld.into()));
@@ -47,27 +52,27 @@ impl Server for Owner {
     }
     fn read_input_registers(
         &mut self,
-        range: Range,
+        range: AddressRange,
         to: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         to.extend(range.addresses().map(|_| 0).skip(self.withheld.into()));
         self.call(std::format!("input {}+{}", range.start, range.quantity))
     }
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         let on = bits.iter().filter(|bit| *bit).count();
         self.call(std::format!("write coils {}+{}, {on} on", range.start, bits.len()))
     }
-    fn write_registers(&mut self, range: Range, from: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(&mut self, range: AddressRange, from: Registers<'_>) -> Result<(), ExceptionCode> {
         self.call(std::format!("write {}: {:?}", range.start, from.iter().collect::<Vec<_>>()))
     }
     fn mask_write_register(&mut self, address: u16, and: u16, or: u16) -> Result<(), ExceptionCode> {
-        self.call(std::format!("mask {address}: {:#x}", masked(0x12, and, or)))
+        self.call(std::format!("mask {address}: {:#x}", apply_mask(0x12, and, or)))
     }
     fn read_write_registers(
         &mut self,
-        write: Range,
+        write: AddressRange,
         values: Registers<'_>,
-        read: Range,
+        read: AddressRange,
         to: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         to.extend(read.addresses().skip(self.withheld.into()));
@@ -82,13 +87,17 @@ impl Server for Owner {
     fn exception_status(&mut self) -> Result<u8, ExceptionCode> {
         self.call("status".into()).map(|()| 0x6D)
     }
-    fn diagnostics(&mut self, what: Diagnostic, _: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
-        let answer = match what {
-            Diagnostic::BusMessageCount => Some(0x0102),
-            Diagnostic::ReturnQueryData => None,
+    fn diagnostics(
+        &mut self,
+        subfunction: DiagnosticSubfunction,
+        _: Registers<'_>,
+    ) -> Result<Option<u16>, ExceptionCode> {
+        let answer = match subfunction {
+            DiagnosticSubfunction::BusMessageCount => Some(0x0102),
+            DiagnosticSubfunction::ReturnQueryData => None,
             _ => return Err(ExceptionCode::IllegalFunction),
         };
-        self.call(std::format!("{what:?}")).map(|()| answer)
+        self.call(std::format!("{subfunction:?}")).map(|()| answer)
     }
     fn comm_event_counter(&mut self) -> Result<(u16, u16), ExceptionCode> {
         self.call("events".into()).map(|()| (0xFFFF, 0x0108))
@@ -96,8 +105,8 @@ impl Server for Owner {
     fn server_id(&mut self) -> Result<&[u8], ExceptionCode> {
         self.call("id".into()).map(|()| &b"\x42\xFFbus"[..])
     }
-    fn conformity(&self) -> Conformity {
-        Conformity::ExtendedIndividual
+    fn conformity(&self) -> ConformityLevel {
+        ConformityLevel::ExtendedIndividual
     }
     fn identification(&self, object: ObjectId) -> Option<&[u8]> {
         let (_, value) = self.objects.iter().find(|(id, _)| *id == object.code())?;
@@ -117,7 +126,7 @@ fn ask(owner: &mut Owner, pdu: &[u8]) -> Vec<u8> {
     // with less room there is no answer, and nothing was written
     for space in 0..response.len() {
         let mut owner = Owner { objects: owner.objects.clone(), fails: owner.fails, ..Owner::default() };
-        assert_eq!(respond(&mut owner, pdu, &mut out[..space]), Err(Silence::NoSpace), "{pdu:x?}");
+        assert_eq!(respond(&mut owner, pdu, &mut out[..space]), Err(NoResponse::NoSpace), "{pdu:x?}");
         if response[0] < 0x80 {
             assert!(owner.calls.iter().all(|call| call == "id"), "{:?}", owner.calls);
         }
@@ -174,7 +183,7 @@ fn limits_of_every_quantity() {
             let [high, low] = u16::to_be_bytes(quantity);
             let mut pdu = std::vec![code, 0, 0, high, low];
             let data = match code {
-                0x0F => std::vec![0; bytes_of_bits(quantity)],
+                0x0F => std::vec![0; packed_len(quantity)],
                 0x10 | 0x17 => words(quantity),
                 _ => Vec::new(),
             };
@@ -243,9 +252,9 @@ fn exceptions_come_in_the_order_of_the_state_diagrams() {
 fn function_codes_that_ask_nothing_are_not_answered() {
     let mut out = [0; PDU_MAX];
     for code in [0, 0x80, 0x83, 0xFF] {
-        assert_eq!(respond(&mut Owner::default(), &[code, 1], &mut out), Err(Silence::NoRequest));
+        assert_eq!(respond(&mut Owner::default(), &[code, 1], &mut out), Err(NoResponse::NoRequest));
     }
-    assert_eq!(respond(&mut Owner::default(), &[], &mut out), Err(Silence::NoRequest));
+    assert_eq!(respond(&mut Owner::default(), &[], &mut out), Err(NoResponse::NoRequest));
 }
 
 fn identified(objects: &[(u8, usize)]) -> Owner {
@@ -261,7 +270,7 @@ fn a_stream_of_objects_goes_on_where_it_stopped() {
         loop {
             let response = ask(&mut owner, &[0x2B, 0x0E, category, next]);
             let Ok(Response::DeviceIdentification(part)) = Response::decode(&response) else { panic!() };
-            assert_eq!(part.conformity, Conformity::ExtendedIndividual);
+            assert_eq!(part.conformity, ConformityLevel::ExtendedIndividual);
             assert!(part.objects.count() > 0, "no progress");
             seen.extend(part.objects.map(|(id, value)| (id.code(), value.len())));
             match part.next {

@@ -1,6 +1,6 @@
 use core::slice;
 
-use crate::modbus::{bit, bytes_of_bits};
+use crate::modbus::{bit, packed_len};
 
 /// The values of a write: registers in the request's data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -144,7 +144,7 @@ impl<'a> BitWriter<'a> {
     /// `quantity` bits for the front of `bytes`.
     #[must_use]
     pub const fn new(bytes: &'a mut [u8], quantity: u16) -> Self {
-        let used = bytes_of_bits(quantity);
+        let used = packed_len(quantity);
         let used = if used < bytes.len() { used } else { bytes.len() };
         let bytes = match bytes.split_at_mut_checked(used) {
             Some((bytes, _)) => bytes,
@@ -246,7 +246,7 @@ mod tests {
                 let (mut packed, mut single) = ([0xEE; 3], [0xEE; 3]);
                 BitWriter::new(&mut packed, quantity).copy_from(&table, first);
                 BitWriter::new(&mut single, quantity).extend((first..).map(|index| bit(&table, index)));
-                let used = bytes_of_bits(quantity);
+                let used = packed_len(quantity);
                 assert_eq!(packed[..used], single[..used], "{quantity} from {first}");
                 assert!(packed[used..].iter().all(|byte| *byte == 0xEE), "bytes past the last bit stay");
             }

@@ -1,7 +1,7 @@
 //! RTU, ASCII, TCP, and the line that is shared with others.
 
-use jointbus_protocol::deframe::Format;
-use jointbus_protocol::modbus::line::SharedLine;
+use jointbus_protocol::decode::Framing;
+use jointbus_protocol::modbus::line::MultidropDecoder;
 use jointbus_protocol::modbus::{ascii, rtu, tcp};
 
 use super::{request, response};
@@ -18,10 +18,10 @@ pub(crate) fn all() {
 fn rtu() {
     sink(rtu::Frame::decode(bytes()));
     sink(rtu::request_length(bytes()));
-    sink(rtu::Requests.length(bytes()));
-    sink(rtu::Requests.is_valid(bytes()));
-    sink(rtu::Requests.is_broadcast(bytes()));
-    sink(rtu::Requests.forgives_stray_bytes());
+    sink(rtu::RequestFraming.length(bytes()));
+    sink(rtu::RequestFraming.is_valid(bytes()));
+    sink(rtu::RequestFraming.is_broadcast(bytes()));
+    sink(rtu::RequestFraming.forgives_stray_bytes());
     buffer::<300>(|space| sink(rtu::encode_request(byte(), &request(), space)));
     buffer::<300>(|space| sink(rtu::encode_response(byte(), &response(), space)));
 }
@@ -33,14 +33,14 @@ fn ascii() {
     buffer::<600>(|space| sink(ascii::encode_response(byte(), &response(), space)));
     sink(ascii::character_at(bytes(), size()));
     sink(ascii::frame_length(size()));
-    let mut deframer = if flag() { ascii::Deframer::new() } else { ascii::Deframer::default() };
+    let mut decoder = if flag() { ascii::Decoder::new() } else { ascii::Decoder::default() };
     while flag() {
         let mut some = bytes();
-        sink(deframer.feed(&mut some));
+        sink(decoder.feed(&mut some));
         sink(some);
-        sink(deframer.is_inside());
+        sink(decoder.is_inside());
         if flag() {
-            deframer.clear();
+            decoder.clear();
         }
     }
 }
@@ -55,20 +55,20 @@ fn tcp() {
     }
     buffer::<300>(|space| sink(tcp::encode_request(word(), byte(), &request(), space)));
     buffer::<300>(|space| sink(tcp::encode_response(word(), byte(), &response(), space)));
-    let mut deframer = if flag() { tcp::Deframer::new() } else { tcp::Deframer::default() };
+    let mut decoder = if flag() { tcp::Decoder::new() } else { tcp::Decoder::default() };
     while flag() {
         let mut some = bytes();
-        sink(deframer.feed(&mut some));
+        sink(decoder.feed(&mut some));
         sink(some);
         if flag() {
-            deframer.clear();
+            decoder.clear();
         }
     }
 }
 
 #[inline(never)]
 fn shared_line() {
-    let mut line = SharedLine::new(byte()..=byte(), span());
+    let mut line = MultidropDecoder::new(byte()..=byte(), span());
     while flag() {
         let mut some = bytes();
         match any(0) {

@@ -3,11 +3,12 @@
 mod framing;
 mod server;
 
-use jointbus_protocol::deframe::Expectation;
-use jointbus_protocol::modbus::identification::{Category, Conformity, Objects};
+use jointbus_protocol::decode::Match;
+use jointbus_protocol::modbus::identification::{ConformityLevel, Objects, ReadDeviceIdCode};
 use jointbus_protocol::modbus::identification::{Identification, ObjectId};
 use jointbus_protocol::modbus::{
-    self, Diagnostic, ExceptionCode, ExpectedResponse, FunctionCode, Range, Request, Response,
+    self, AddressRange, DiagnosticSubfunction, ExceptionCode, ExpectedResponse, FunctionCode, Request,
+    Response,
 };
 use jointbus_protocol::wire::Writer;
 
@@ -31,8 +32,8 @@ fn exception() -> ExceptionCode {
     ExceptionCode::from_code(byte())
 }
 
-fn range() -> Range {
-    Range::new(word(), word())
+fn range() -> AddressRange {
+    AddressRange::new(word(), word())
 }
 
 /// Any request, also such that no frame can hold.
@@ -47,14 +48,14 @@ pub(crate) fn request() -> Request<'static> {
         6 => Request::WriteMultipleCoils { range: range(), data: bytes() },
         7 => Request::WriteMultipleRegisters { range: range(), data: bytes() },
         8 => Request::ReadExceptionStatus,
-        9 => Request::Diagnostics { what: Diagnostic::from_code(word()), data: bytes() },
+        9 => Request::Diagnostics { subfunction: DiagnosticSubfunction::from_code(word()), data: bytes() },
         10 => Request::GetCommEventCounter,
         11 => Request::GetCommEventLog,
         12 => Request::ReportServerId,
         13 => Request::MaskWriteRegister { address: word(), and: word(), or: word() },
         14 => Request::ReadWriteMultipleRegisters { read: range(), write: range(), data: bytes() },
         15 => Request::ReadDeviceIdentification {
-            category: Category::from_code(byte()),
+            category: ReadDeviceIdCode::from_code(byte()),
             object: ObjectId::from_code(byte()),
         },
         _ => Request::Other { function: function(), data: bytes() },
@@ -68,14 +69,14 @@ fn response() -> Response<'static> {
         2 => Response::WriteMultiple { function: function(), range: range() },
         3 => Response::exception(function(), exception()),
         4 => Response::ExceptionStatus(byte()),
-        5 => Response::Diagnostics { what: Diagnostic::from_code(word()), data: bytes() },
+        5 => Response::Diagnostics { subfunction: DiagnosticSubfunction::from_code(word()), data: bytes() },
         6 => Response::CommEventCounter { status: word(), events: word() },
         7 => Response::CommEventLog { status: word(), events: word(), messages: word(), log: bytes() },
         8 => Response::ServerId(bytes()),
         9 => Response::MaskWrite { address: word(), and: word(), or: word() },
         10 => Response::DeviceIdentification(Identification {
-            category: Category::from_code(byte()),
-            conformity: Conformity::from_code(byte()),
+            category: ReadDeviceIdCode::from_code(byte()),
+            conformity: ConformityLevel::from_code(byte()),
             next: flag().then(|| ObjectId::from_code(byte())),
             objects: Objects::new(bytes()).unwrap_or_default(),
         }),
@@ -90,18 +91,18 @@ fn values() {
     range.addresses().for_each(sink);
     modbus::registers(bytes()).for_each(sink);
     sink(modbus::bit(bytes(), word()));
-    sink(modbus::bytes_of_bits(word()));
-    sink(modbus::masked(word(), word(), word()));
+    sink(modbus::packed_len(word()));
+    sink(modbus::apply_mask(word(), word(), word()));
     sink((function().code(), function().is_read(), function().is_basic()));
     sink(exception().code());
-    sink(Diagnostic::from_code(word()).code());
+    sink(DiagnosticSubfunction::from_code(word()).code());
 }
 
 #[inline(never)]
 fn identification() {
-    let conformity = Conformity::from_code(byte());
+    let conformity = ConformityLevel::from_code(byte());
     sink((conformity.code(), conformity.is_individual(), conformity.category()));
-    let category = Category::from_code(byte());
+    let category = ReadDeviceIdCode::from_code(byte());
     sink((category.code(), category.last_object().map(ObjectId::code)));
     if let Ok(objects) = Objects::new(bytes()) {
         // `objects.count()` would be the iterator's
@@ -133,5 +134,5 @@ fn expected() {
     sink(expected.lengths());
     sink(expected.accepts(bytes()));
     sink(expected.accepts_pdu(bytes()));
-    sink(Expectation::accepts(&expected, size(), bytes()));
+    sink(Match::accepts(&expected, size(), bytes()));
 }

@@ -1,12 +1,14 @@
 //! The general server: over an owner that answers anything, and over tables in memory.
 
 use jointbus_protocol::checksum;
-use jointbus_protocol::modbus::identification::{Conformity, ObjectId};
+use jointbus_protocol::modbus::identification::{ConformityLevel, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Audience, BitWriter, Bits, Failure, RamTables, RegisterWriter, Registers, Server, malformed,
+    self, BitWriter, Bits, Destination, Failure, RamTables, RegisterWriter, Registers, Server, exception_for,
     serve_ascii, serve_rtu,
 };
-use jointbus_protocol::modbus::{Diagnostic, ExceptionCode, FunctionCode, Range, RequestError, ascii, tcp};
+use jointbus_protocol::modbus::{
+    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, RequestError, ascii, tcp,
+};
 
 use jointbus_protocol::wire::Writer;
 
@@ -55,14 +57,14 @@ fn views() {
 #[inline(never)]
 fn devices() {
     let audience = |_| match any(0) {
-        0 => Audience::Unit,
-        1 => Audience::Broadcast,
-        _ => Audience::Other,
+        0 => Destination::Unit,
+        1 => Destination::Broadcast,
+        _ => Destination::Other,
     };
     let frame = ascii::Frame { unit: byte(), pdu: bytes() };
     buffer::<300>(|out| sink(serve_rtu(bytes(), audience, |_, _, writer| append(writer), out)));
     buffer::<600>(|out| sink(serve_ascii(&frame, audience, |_, _, writer| append(writer), out)));
-    sink(malformed(if flag() { RequestError::Empty } else { RequestError::Length(function()) }));
+    sink(exception_for(if flag() { RequestError::Empty } else { RequestError::Length(function()) }));
 }
 
 fn append(writer: &mut Writer<'_>) -> Result<(), Failure> {
@@ -121,19 +123,23 @@ impl Server for Anything {
         flag()
     }
 
-    fn read_coils(&mut self, _: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_coils(&mut self, _: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         bits.copy_from(bytes(), word());
         judge()
     }
 
-    fn read_discrete_inputs(&mut self, _: Range, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        _: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         bits.push(flag());
         judge()
     }
 
     fn read_holding_registers(
         &mut self,
-        _: Range,
+        _: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         registers.push(word());
@@ -142,19 +148,23 @@ impl Server for Anything {
 
     fn read_input_registers(
         &mut self,
-        _: Range,
+        _: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         registers.extend(core::iter::repeat_with(word));
         judge()
     }
 
-    fn write_coils(&mut self, range: Range, bits: Bits<'_>) -> Result<(), ExceptionCode> {
+    fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         sink((range, bits));
         judge()
     }
 
-    fn write_registers(&mut self, range: Range, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(
+        &mut self,
+        range: AddressRange,
+        registers: Registers<'_>,
+    ) -> Result<(), ExceptionCode> {
         sink((range, registers));
         judge()
     }
@@ -166,9 +176,9 @@ impl Server for Anything {
 
     fn read_write_registers(
         &mut self,
-        write: Range,
+        write: AddressRange,
         values: Registers<'_>,
-        read: Range,
+        read: AddressRange,
         registers: &mut RegisterWriter<'_>,
     ) -> Result<(), ExceptionCode> {
         sink((write, values, read));
@@ -180,7 +190,11 @@ impl Server for Anything {
         judge().map(|()| byte())
     }
 
-    fn diagnostics(&mut self, what: Diagnostic, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+    fn diagnostics(
+        &mut self,
+        what: DiagnosticSubfunction,
+        data: Registers<'_>,
+    ) -> Result<Option<u16>, ExceptionCode> {
         sink((what, data));
         judge().map(|()| flag().then(word))
     }
@@ -193,8 +207,8 @@ impl Server for Anything {
         judge().map(|()| bytes())
     }
 
-    fn conformity(&self) -> Conformity {
-        Conformity::from_code(byte())
+    fn conformity(&self) -> ConformityLevel {
+        ConformityLevel::from_code(byte())
     }
 
     fn identification(&self, _: ObjectId) -> Option<&[u8]> {

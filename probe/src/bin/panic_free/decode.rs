@@ -1,6 +1,6 @@
-//! `deframe`, with formats and expectations that answer anything.
+//! `decode`, with formats and expectations that answer anything.
 
-use jointbus_protocol::deframe::{BurstDeframer, Expectation, Format, FrameLength, ReplySearch};
+use jointbus_protocol::decode::{FrameDecoder, FrameLength, Framing, Match, ResponseMatcher};
 
 use crate::opaque::{any, bytes, flag, moment, sink, size, span};
 
@@ -16,7 +16,7 @@ pub(crate) fn all() {
 /// Says anything about any frame.
 struct Anything;
 
-impl Format for Anything {
+impl Framing for Anything {
     fn length(&self, _: &[u8]) -> FrameLength {
         match any(0) {
             0 => FrameLength::Exactly(size()),
@@ -39,7 +39,7 @@ impl Format for Anything {
     }
 }
 
-impl<const L: usize> Expectation<L> for Anything {
+impl<const L: usize> Match<L> for Anything {
     fn lengths(&self) -> [usize; L] {
         core::array::from_fn(|_| size())
     }
@@ -52,14 +52,14 @@ impl<const L: usize> Expectation<L> for Anything {
 /// Any order of calls, for as long as it takes.
 #[inline(never)]
 fn burst<const N: usize>() {
-    let mut deframer = BurstDeframer::<N>::new(span());
+    let mut decoder = FrameDecoder::<N>::new(span());
     while flag() {
         let mut some = bytes();
         match any(0) {
-            0 => sink(deframer.feed(&Anything, &mut some, moment())),
-            1 => sink(deframer.poll(&Anything, moment())),
-            2 => sink(deframer.deadline()),
-            _ => deframer.set_silence(span()),
+            0 => sink(decoder.feed(&Anything, &mut some, moment())),
+            1 => sink(decoder.poll(&Anything, moment())),
+            2 => sink(decoder.deadline()),
+            _ => decoder.set_silence(span()),
         }
         sink(some);
     }
@@ -67,14 +67,14 @@ fn burst<const N: usize>() {
 
 #[inline(never)]
 fn search<const N: usize, const L: usize>() {
-    let mut search = if flag() { ReplySearch::<N, L>::default() } else { ReplySearch::new() };
+    let mut search = if flag() { ResponseMatcher::<N, L>::default() } else { ResponseMatcher::new() };
     while flag() {
         let mut some = bytes();
         match any(0) {
             0 => sink(search.feed(&Anything, &mut some)),
-            1 => sink(search.at_silence(|_| flag())),
+            1 => sink(search.end_of_frame(|_| flag())),
             2 => sink(search.has_leftovers()),
-            3 => search.start_over(),
+            3 => search.rescan(),
             _ => search.clear(),
         }
         sink(some);

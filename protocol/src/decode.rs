@@ -1,8 +1,8 @@
 //! Frames out of a byte stream, for both ends of a line.
 //!
-//! [`BurstDeframer`] is the slave's side: it takes a frame the moment it is complete and right, and after anything
+//! [`FrameDecoder`] is the slave's side: it takes a frame the moment it is complete and right, and after anything
 //! wrong nothing until the line was silent, so that bytes inside a frame are never executed.
-//! [`ReplySearch`] is the master's side: it slides over noise to the one reply it waits for.
+//! [`ResponseMatcher`] is the master's side: it slides over noise to the one reply it waits for.
 //! Both are bounded and do work in proportion to the bytes they are fed.
 
 use crate::time::{Duration, Instant};
@@ -22,8 +22,8 @@ pub enum FrameLength {
     Impossible,
 }
 
-/// What a [`BurstDeframer`] must know of the frames on its line.
-pub trait Format {
+/// What a [`FrameDecoder`] must know of the frames on its line.
+pub trait Framing {
     /// Length of the frame that starts with `prefix`, which is never empty.
     fn length(&self, prefix: &[u8]) -> FrameLength;
 
@@ -43,7 +43,7 @@ pub trait Format {
 /// Why a burst was dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Fault {
+pub enum DecodeError {
     /// A frame was complete, its checksum wrong.
     Checksum,
     /// No frame starts with these bytes.
@@ -61,7 +61,7 @@ pub enum Event<'a> {
     /// Silence ended a burst that held no frame.
     Dropped {
         /// What was wrong first.
-        fault: Fault,
+        error: DecodeError,
         /// The burst, as far as it was kept.
         burst: &'a [u8],
     },
@@ -79,7 +79,7 @@ enum State {
     /// Collecting a frame that only silence ends.
     Open,
     /// Waiting for silence.
-    Spoilt(Fault),
+    Spoilt(DecodeError),
 }
 
 /// The slave's side of a line: takes a frame when it is complete and right, and after anything wrong drops all
@@ -90,7 +90,7 @@ enum State {
 ///
 /// `N` is the longest frame and the stray bytes before it.
 #[derive(Debug)]
-pub struct BurstDeframer<const N: usize> {
+pub struct FrameDecoder<const N: usize> {
     buffer: [u8; N],
     used: usize,
     overflow: bool,
@@ -99,8 +99,8 @@ pub struct BurstDeframer<const N: usize> {
     last: Instant,
 }
 
-impl<const N: usize> BurstDeframer<N> {
-    /// A deframer for a line on which `silence` ends a burst.
+impl<const N: usize> FrameDecoder<N> {
+    /// A decoder for a line on which `silence` ends a burst.
     #[must_use]
     pub const fn new(silence: Duration) -> Self {
         Self {
@@ -122,14 +122,14 @@ impl<const N: usize> BurstDeframer<N> {
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
         let pending = self.used > 0 && self.state != State::Delivered;
-        pending.then(|| self.last.after(self.silence))
+        pending.then(|| self.last.saturating_add(self.silence))
     }
 
     /// Takes bytes that ended at `now` until something comes out or none are left; call again while it returns
     /// an event.
     pub fn feed<'s>(
         &'s mut self,
-        format: &impl Format,
+        format: &impl Framing,
         bytes: &mut &[u8],
         now: Instant,
     ) -> Option<Event<'s>> {
@@ -150,14 +150,14 @@ impl<const N: usize> BurstDeframer<N> {
             let prefix = self.buffer.get(..self.used).unwrap_or(&[]);
             self.state = match format.length(prefix) {
                 FrameLength::Exactly(length) | FrameLength::AtLeast(length) if length > N => {
-                    State::Spoilt(Fault::Impossible)
+                    State::Spoilt(DecodeError::Impossible)
                 }
                 FrameLength::Exactly(length) | FrameLength::AtLeast(length) if length > self.used => {
                     State::Frame(length)
                 }
                 FrameLength::Exactly(_) if format.is_valid(prefix) => State::Delivered,
-                FrameLength::Exactly(_) => State::Spoilt(Fault::Checksum),
-                FrameLength::AtLeast(_) | FrameLength::Impossible => State::Spoilt(Fault::Impossible),
+                FrameLength::Exactly(_) => State::Spoilt(DecodeError::Checksum),
+                FrameLength::AtLeast(_) | FrameLength::Impossible => State::Spoilt(DecodeError::Impossible),
                 FrameLength::UntilSilence => State::Open,
             };
         }
@@ -169,17 +169,17 @@ impl<const N: usize> BurstDeframer<N> {
         None
     }
 
-    /// Tells the deframer the time, so that it notices the silence after a burst.
-    pub fn poll(&mut self, format: &impl Format, now: Instant) -> Option<Event<'_>> {
+    /// Tells the decoder the time, so that it notices the silence after a burst.
+    pub fn poll(&mut self, format: &impl Framing, now: Instant) -> Option<Event<'_>> {
         if self.deadline().is_some_and(|end| now >= end) { self.end_of_burst(format) } else { None }
     }
 
-    fn end_of_burst(&mut self, format: &impl Format) -> Option<Event<'_>> {
+    fn end_of_burst(&mut self, format: &impl Framing) -> Option<Event<'_>> {
         let open = self.state == State::Open;
-        let fault = match self.state {
-            State::Spoilt(fault) => fault,
-            State::Open => Fault::Checksum,
-            State::Frame(_) | State::Delivered => Fault::Incomplete,
+        let error = match self.state {
+            State::Spoilt(error) => error,
+            State::Open => DecodeError::Checksum,
+            State::Frame(_) | State::Delivered => DecodeError::Incomplete,
         };
         self.state = State::Delivered;
         let burst = self.buffer.get(..self.used).unwrap_or(&[]);
@@ -203,7 +203,7 @@ impl<const N: usize> BurstDeframer<N> {
                 return Some(Event::Frame(frame));
             }
         }
-        Some(Event::Dropped { fault, burst })
+        Some(Event::Dropped { error, burst })
     }
 
     fn keep(&mut self, bytes: &[u8]) {
@@ -225,7 +225,7 @@ impl<const N: usize> BurstDeframer<N> {
 }
 
 /// What a master waits for: up to `L` kinds of frame, told apart by their place.
-pub trait Expectation<const L: usize> {
+pub trait Match<const L: usize> {
     /// Length in bytes, checksum included, of each kind; 0 stands for none.
     fn lengths(&self) -> [usize; L];
 
@@ -238,7 +238,7 @@ pub trait Expectation<const L: usize> {
 /// Each position is tried once for each kind, so the work is linear and a false start delays nothing.
 /// `N` must exceed the longest reply.
 #[derive(Debug)]
-pub struct ReplySearch<const N: usize, const L: usize> {
+pub struct ResponseMatcher<const N: usize, const L: usize> {
     buffer: [u8; N],
     used: usize,
     /// First position not yet tried, for each kind.
@@ -246,13 +246,13 @@ pub struct ReplySearch<const N: usize, const L: usize> {
     delivered: bool,
 }
 
-impl<const N: usize, const L: usize> Default for ReplySearch<N, L> {
+impl<const N: usize, const L: usize> Default for ResponseMatcher<N, L> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<const N: usize, const L: usize> ReplySearch<N, L> {
+impl<const N: usize, const L: usize> ResponseMatcher<N, L> {
     /// A search that has received nothing.
     #[must_use]
     pub const fn new() -> Self {
@@ -267,7 +267,7 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
     }
 
     /// Tries all positions anew and keeps the bytes: to be called when the kinds that are waited for have changed.
-    pub const fn start_over(&mut self) {
+    pub const fn rescan(&mut self) {
         self.next = [0; L];
     }
 
@@ -278,7 +278,7 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
     }
 
     /// Takes bytes until a reply is found or none are left; tells its kind.
-    pub fn feed(&mut self, wanted: &impl Expectation<L>, bytes: &mut &[u8]) -> Option<(usize, &[u8])> {
+    pub fn feed(&mut self, wanted: &impl Match<L>, bytes: &mut &[u8]) -> Option<(usize, &[u8])> {
         if self.delivered {
             self.clear();
         }
@@ -301,7 +301,7 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
     }
 
     /// The line fell silent: a reply of unknown length, of which `accepts` tells, may end here.
-    pub fn at_silence(&mut self, accepts: impl Fn(&[u8]) -> bool) -> Option<&[u8]> {
+    pub fn end_of_frame(&mut self, accepts: impl Fn(&[u8]) -> bool) -> Option<&[u8]> {
         let start = (0..self.used).find(|&start| self.buffer.get(start..self.used).is_some_and(&accepts))?;
         self.delivered = true;
         self.buffer.get(start..self.used)
@@ -309,7 +309,7 @@ impl<const N: usize, const L: usize> ReplySearch<N, L> {
 
     fn try_positions(
         &mut self,
-        wanted: &impl Expectation<L>,
+        wanted: &impl Match<L>,
         lengths: &[usize; L],
     ) -> Option<(usize, core::ops::Range<usize>)> {
         for (kind, (length, next)) in lengths.iter().zip(&mut self.next).enumerate() {
@@ -342,7 +342,7 @@ mod tests {
     /// `[length, …, sum]`: a toy with all that a format can say; length 0 ends by silence, above 8 is impossible.
     struct Toy;
 
-    impl Format for Toy {
+    impl Framing for Toy {
         fn length(&self, prefix: &[u8]) -> FrameLength {
             match prefix[0] {
                 0 => FrameLength::UntilSilence,
@@ -366,13 +366,13 @@ mod tests {
     #[derive(Debug, PartialEq)]
     enum Out {
         Frame(Vec<u8>),
-        Dropped(Fault),
+        Dropped(DecodeError),
     }
 
     fn out(event: Event<'_>) -> Out {
         match event {
             Event::Frame(frame) => Out::Frame(frame.into()),
-            Event::Dropped { fault, .. } => Out::Dropped(fault),
+            Event::Dropped { error, .. } => Out::Dropped(error),
         }
     }
 
@@ -380,19 +380,19 @@ mod tests {
     fn run(bursts: &[&[u8]]) -> Vec<Out> {
         let mut results: Vec<Vec<Out>> = Vec::new();
         for piece in 1..=12 {
-            let mut deframer = BurstDeframer::<12>::new(SILENCE);
+            let mut decoder = FrameDecoder::<12>::new(SILENCE);
             let (mut now, mut found) = (Instant::from_micros(5), Vec::new());
             for burst in bursts {
                 for mut chunk in burst.chunks(piece) {
-                    while let Some(event) = deframer.feed(&Toy, &mut chunk, now) {
+                    while let Some(event) = decoder.feed(&Toy, &mut chunk, now) {
                         found.push(out(event));
                     }
                     assert!(chunk.is_empty());
-                    now = now.after(Duration::from_millis(1));
+                    now = now.saturating_add(Duration::from_millis(1));
                 }
-                now = now.after(SILENCE);
-                found.extend(deframer.poll(&Toy, now).map(out));
-                assert_eq!(deframer.deadline(), None);
+                now = now.saturating_add(SILENCE);
+                found.extend(decoder.poll(&Toy, now).map(out));
+                assert_eq!(decoder.deadline(), None);
             }
             results.push(found);
         }
@@ -416,11 +416,11 @@ mod tests {
     fn after_a_wrong_frame_nothing_is_taken_until_silence() {
         assert_eq!(
             run(&[&[3, 1, 5, 3, 1, 4, 3, 1, 4], &[3, 1, 4]]),
-            [Out::Dropped(Fault::Checksum), Out::Frame([3, 1, 4].into())]
+            [Out::Dropped(DecodeError::Checksum), Out::Frame([3, 1, 4].into())]
         );
-        assert_eq!(run(&[&[99, 1, 2, 3, 9, 3, 1, 4]]), [Out::Dropped(Fault::Impossible)]);
+        assert_eq!(run(&[&[99, 1, 2, 3, 9, 3, 1, 4]]), [Out::Dropped(DecodeError::Impossible)]);
         assert_eq!(run(&[&[8, 3, 1, 4]]), [Out::Frame([3, 1, 4].into())], "one stray byte in front");
-        assert_eq!(run(&[&[8, 9, 9, 9, 9, 3, 1]]), [Out::Dropped(Fault::Incomplete)]);
+        assert_eq!(run(&[&[8, 9, 9, 9, 9, 3, 1]]), [Out::Dropped(DecodeError::Incomplete)]);
     }
 
     #[test]
@@ -430,19 +430,23 @@ mod tests {
             burst.extend([3, 1, 4]);
             let expected = match stray {
                 ..=STRAY_MAX => Out::Frame([3, 1, 4].into()),
-                _ => Out::Dropped(Fault::Impossible),
+                _ => Out::Dropped(DecodeError::Impossible),
             };
             assert_eq!(run(&[&burst]), [expected], "{stray} stray bytes");
         }
-        assert_eq!(run(&[&[200, 3, 0xFF, 2]]), [Out::Dropped(Fault::Impossible)]);
+        assert_eq!(run(&[&[200, 3, 0xFF, 2]]), [Out::Dropped(DecodeError::Impossible)]);
         assert_eq!(run(&[&[3, 0xFF, 2]]), [Out::Frame([3, 0xFF, 2].into())]);
-        assert_eq!(run(&[&[200, 3, 1, 4, 7]]), [Out::Dropped(Fault::Impossible)], "does not fill the burst");
+        assert_eq!(
+            run(&[&[200, 3, 1, 4, 7]]),
+            [Out::Dropped(DecodeError::Impossible)],
+            "does not fill the burst"
+        );
     }
 
     #[test]
     fn silence_ends_what_has_no_length_of_its_own() {
         assert_eq!(run(&[&[0, 5, 5, 10]]), [Out::Frame([0, 5, 5, 10].into())]);
-        assert_eq!(run(&[&[0, 5, 5, 11]]), [Out::Dropped(Fault::Checksum)]);
+        assert_eq!(run(&[&[0, 5, 5, 11]]), [Out::Dropped(DecodeError::Checksum)]);
         assert_eq!(run(&[&[200, 0, 5, 5, 10]]), [Out::Frame([0, 5, 5, 10].into())]);
     }
 
@@ -451,29 +455,36 @@ mod tests {
         let noise = [0x55; 300];
         assert_eq!(
             run(&[&noise, &[3, 1, 4]]),
-            [Out::Dropped(Fault::Impossible), Out::Frame([3, 1, 4].into())]
+            [Out::Dropped(DecodeError::Impossible), Out::Frame([3, 1, 4].into())]
         );
         let mut open = [1; 300];
         open[0] = 0;
-        assert_eq!(run(&[&open]), [Out::Dropped(Fault::Checksum)]);
-        assert_eq!(run(&[&[1, 0, 250, 9]]), [Out::Dropped(Fault::Impossible)], "longer than the buffer");
+        assert_eq!(run(&[&open]), [Out::Dropped(DecodeError::Checksum)]);
+        assert_eq!(
+            run(&[&[1, 0, 250, 9]]),
+            [Out::Dropped(DecodeError::Impossible)],
+            "longer than the buffer"
+        );
     }
 
     #[test]
     fn silence_is_noticed_by_the_next_byte_as_well() {
-        let mut deframer = BurstDeframer::<12>::new(SILENCE);
+        let mut decoder = FrameDecoder::<12>::new(SILENCE);
         let start = Instant::from_micros(0);
-        assert_eq!(deframer.feed(&Toy, &mut &[3, 1][..], start), None);
+        assert_eq!(decoder.feed(&Toy, &mut &[3, 1][..], start), None);
         let mut next = &[3, 1, 4][..];
-        let later = start.after(SILENCE);
-        assert_eq!(deframer.feed(&Toy, &mut next, later).map(out), Some(Out::Dropped(Fault::Incomplete)));
+        let later = start.saturating_add(SILENCE);
+        assert_eq!(
+            decoder.feed(&Toy, &mut next, later).map(out),
+            Some(Out::Dropped(DecodeError::Incomplete))
+        );
         assert_eq!(next.len(), 3, "the new burst is still to be fed");
-        assert_eq!(deframer.feed(&Toy, &mut next, later).map(out), Some(Out::Frame([3, 1, 4].into())));
+        assert_eq!(decoder.feed(&Toy, &mut next, later).map(out), Some(Out::Frame([3, 1, 4].into())));
     }
 
     struct Reply;
 
-    impl Expectation<2> for Reply {
+    impl Match<2> for Reply {
         fn lengths(&self) -> [usize; 2] {
             [6, 3]
         }
@@ -487,7 +498,7 @@ mod tests {
     fn a_reply_that_was_begun_is_found_though_the_kinds_change() {
         /// First waits for a reply of three bytes, then in the same place for one of six.
         struct One(usize);
-        impl Expectation<1> for One {
+        impl Match<1> for One {
             fn lengths(&self) -> [usize; 1] {
                 [self.0]
             }
@@ -495,9 +506,9 @@ mod tests {
                 frame[0] == 7 && frame.len() == 6
             }
         }
-        let mut search = ReplySearch::<16, 1>::default();
+        let mut search = ResponseMatcher::<16, 1>::default();
         assert_eq!(search.feed(&One(3), &mut &[7, 1, 1, 1][..]), None);
-        search.start_over();
+        search.rescan();
         assert_eq!(search.feed(&One(6), &mut &[1, 11][..]), Some((0, &[7, 1, 1, 1, 1, 11][..])));
     }
 
@@ -506,7 +517,7 @@ mod tests {
         for (kind, reply, noise) in [(0, &[7, 1, 1, 1, 1, 11][..], 7), (1, &[7, 2, 9], 7), (1, &[7, 2, 9], 1)]
         {
             for length in 0..40 {
-                let mut search = ReplySearch::<16, 2>::default();
+                let mut search = ResponseMatcher::<16, 2>::default();
                 let mut stream = std::vec![noise; length];
                 stream.extend_from_slice(reply);
                 stream.push(77);
@@ -522,9 +533,9 @@ mod tests {
 
     #[test]
     fn a_reply_of_unknown_length_ends_at_silence() {
-        let mut search = ReplySearch::<16, 2>::default();
+        let mut search = ResponseMatcher::<16, 2>::default();
         assert_eq!(search.feed(&Reply, &mut &[1, 2, 7, 5, 5, 17][..]), None);
         let accepts = |frame: &[u8]| frame[0] == 7 && frame.len() > 2 && Toy.is_valid(frame);
-        assert_eq!(search.at_silence(accepts), Some(&[7, 5, 5, 17][..]));
+        assert_eq!(search.end_of_frame(accepts), Some(&[7, 5, 5, 17][..]));
     }
 }
