@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
     settle(&mut engine, &mut now);
     let (start, end) = (now, now.saturating_add(QUIET));
     let mut wakes = 0;
-    while let Some(deadline) = engine.deadline().filter(|deadline| *deadline <= end) {
+    while let Some(deadline) = engine.poll_at().filter(|deadline| *deadline <= end) {
         wakes += 1;
         if wakes >= WAKES {
             assert!(periods(&engine, now.saturating_duration_since(start)) >= WAKES / 8, "it is woken for nothing");
@@ -74,8 +74,8 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
                 engine.receive_frame(&frame, *now);
             }
         }
-        4 => engine.consume(port, argument.into()),
-        5 => engine.transmitted(port, *now),
+        4 => engine.advance(port, argument.into()),
+        5 => engine.transmit_complete(port, *now),
         6 => {
             if engine.next_frame().is_some() && argument & 1 == 0 {
                 engine.frame_sent(*now);
@@ -89,7 +89,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
         }
         10 => {
             // as a board does: it sleeps until the deadline
-            *now = engine.deadline().unwrap_or(*now).max(*now);
+            *now = engine.poll_at().unwrap_or(*now).max(*now);
             engine.poll(*now);
         }
         11 => drop(settle(engine, now)),
@@ -116,7 +116,7 @@ fn step(engine: &mut Engine, script: &mut Script<'_>, now: &mut Instant) {
             let changes = Port::ALL.map(|port| engine.take_port_change(port).is_some());
             assert_eq!(has_port_change, changes.contains(&true));
             let _ = (engine.take_command(), engine.counters(port));
-            let _ = (engine.slot(argument.into()), engine.port(port), engine.quirks(), engine.health());
+            let _ = (engine.slot(argument.into()), engine.port(port), engine.legacy_codes(), engine.health());
         }
     }
 }
@@ -145,11 +145,11 @@ fn settle(engine: &mut Engine, now: &mut Instant) -> Vec<u8> {
                 continue;
             }
             moved = true;
-            engine.consume(port, pending.len());
+            engine.advance(port, pending.len());
             *now = now.saturating_add(Duration::from_micros(50 * pending.len() as u64));
             match port {
                 Port::Host => host.extend_from_slice(&pending),
-                _ => engine.transmitted(port, *now),
+                _ => engine.transmit_complete(port, *now),
             }
         }
         moved |= engine.take_can_restart(*now);

@@ -220,7 +220,7 @@ impl Driver {
 
     /// Time until the engine has something to do by itself.
     fn pause(&self) -> Duration {
-        let deadline = self.engine.deadline();
+        let deadline = self.engine.poll_at();
         let due = deadline
             .map(|at| Duration::from_micros(at.saturating_duration_since(self.clock.now()).as_micros()));
         due.map_or(TICK, |due| due.min(TICK))
@@ -245,9 +245,9 @@ impl Driver {
             while !self.engine.output(port).is_empty() {
                 // a line has no listener that it knows of: without one, the bytes are gone
                 self.connections.send(port, self.engine.output(port));
-                self.engine.consume(port, self.engine.output(port).len());
+                self.engine.advance(port, self.engine.output(port).len());
                 if port != Port::Host {
-                    self.engine.transmitted(port, self.clock.now());
+                    self.engine.transmit_complete(port, self.clock.now());
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use jointbus_host_tests::sim::properties::{self, Found, Traffic};
 use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS};
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 
 #[track_caller]
 fn holds(found: &Found) {
@@ -61,7 +61,7 @@ fn a_seed_says_it_all() {
 
 #[test]
 fn a_run_is_recorded_from_all_wires() {
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut run = Run::new(Plan::of_seed(2, 50, Some(&[Fault::Noise])), &mut queues);
     run.world.record();
     run.to_the_end();

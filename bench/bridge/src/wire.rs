@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use jointbus_host_tests::sim::can_bits::{INTERMISSION, length};
 use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, World};
 use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::checksum::crc16;
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
@@ -70,7 +70,7 @@ fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let settings = settings(latency, device);
     let baud = u64::from(settings.network.port(Port::Host).baud());
     let byte = 10 * SECONDS / baud;
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut world = World::new(settings, &mut queues);
     let (start, mut worst) = (world.now(), 0);
     for _ in 0..READS {
@@ -107,7 +107,7 @@ fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let settings = settings(latency, device);
     let rate = u64::from(settings.network.port(Port::Can).rate) * 1000;
     let nodes = settings.nodes;
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut world = World::new(settings, &mut queues);
     // unit and period in 100 us of each
     let data: Vec<u8> = (0..SLOTS).flat_map(|slot| [0, 1 + slot % nodes, 0, 1]).collect();

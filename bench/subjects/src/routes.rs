@@ -1,6 +1,6 @@
 //! The bridge's routing table, asked for the unit that stands last in it.
 
-use jointbus_mcu_bridge::engine::config::{Bus, Network, ROUTES, Route};
+use jointbus_mcu_bridge::engine::config::{Target, Topology, ROUTES, Route};
 use jointbus_mcu_bridge::engine::router::Router;
 
 use crate::{FRAME_MAX, Kind, Subject};
@@ -15,10 +15,10 @@ impl<const COUNT: usize> Subject for Routes<COUNT> {
     const KIND: Kind = Kind::Routes;
 
     fn new() -> Self {
-        let mut network = Network { routes: [Route::UNUSED; ROUTES], ..Network::default() };
+        let mut network = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::default() };
         let units = (1..=UNIT).rev().take(COUNT).rev();
         for (row, unit) in network.routes.iter_mut().zip(units) {
-            *row = Route { first_unit: unit, last_unit: unit, bus: Bus::Bridge, ..Route::UNUSED };
+            *row = Route { first_unit: unit, last_unit: unit, bus: Target::Bridge, ..Route::UNUSED };
         }
         Self(Router::new(&network))
     }

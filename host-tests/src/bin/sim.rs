@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
 use jointbus_host_tests::sim::properties::{self, Found};
 use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, Trial};
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -90,7 +90,7 @@ fn run(plan: Plan, pcap: Option<PathBuf>) -> Result<()> {
         "seed {}: {:?}, faults before {} of a million requests",
         plan.settings.seed, plan.manner, plan.fault_rate
     );
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut run = Run::new(plan, &mut queues);
     if pcap.is_some() {
         run.world.record();

@@ -5,7 +5,7 @@ use super::can_wire::CanWire;
 use super::moment::Moment;
 use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
 use jointbus_mcu_bridge::engine::{self, Engine, Identity, ResetCause};
-use jointbus_mcu_bridge::io::serial::{InterruptSide, MainSide, Queues, recent};
+use jointbus_mcu_bridge::io::serial::{IsrHalf, MainHalf, UartBuffers, extend_timestamp};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::Instant;
 use std::collections::VecDeque;
@@ -30,7 +30,7 @@ pub(super) const SERIAL: [Port; 3] = [Port::Host, Port::Rs485A, Port::Rs485B];
 /// The main loop's side of the board.
 pub(super) struct Board<'q> {
     pub(super) engine: Engine,
-    queues: [MainSide<'q>; 3],
+    queues: [MainHalf<'q>; 3],
     frames: VecDeque<(Frame, u32)>,
     sent: u32,
     /// Characters without their stop bit at each serial port.
@@ -43,7 +43,7 @@ pub(super) struct Board<'q> {
 
 /// The interrupts' side of a serial port.
 pub(super) struct Uart<'q> {
-    pub(super) queues: InterruptSide<'q>,
+    pub(super) queues: IsrHalf<'q>,
     pub(super) sending: bool,
 }
 
@@ -61,7 +61,7 @@ pub(super) struct Handed {
 impl<'q> Board<'q> {
     pub(super) fn new(
         settings: &Settings,
-        queues: &'q mut [Queues; 3],
+        queues: &'q mut [UartBuffers; 3],
         now: Instant,
     ) -> (Self, [Uart<'q>; 3]) {
         let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
@@ -128,12 +128,12 @@ impl<'q> Board<'q> {
             self.queues.iter_mut().zip(SERIAL).zip(std::mem::take(&mut self.framing_errors))
         {
             (0..errors).for_each(|_| self.engine.receive_error(port));
-            queues.carry_in(&mut self.engine, port, now);
+            queues.drain_rx(&mut self.engine, port, now);
         }
         self.carry_can_in(now);
         self.engine.poll(now);
         for ((queues, port), moved) in self.queues.iter_mut().zip(SERIAL).zip(&mut handed.serial) {
-            *moved = queues.carry_out(&mut self.engine, port);
+            *moved = queues.fill_tx(&mut self.engine, port);
         }
         self.carry_can_out(moment, wire, &mut handed);
         for (port, changed) in SERIAL.into_iter().zip(&mut handed.changed) {
@@ -152,7 +152,7 @@ impl<'q> Board<'q> {
             self.engine.overrun(Port::Can);
         }
         while let Some((frame, micros)) = self.frames.pop_front() {
-            self.engine.receive_frame(&frame, recent(now, micros));
+            self.engine.receive_frame(&frame, extend_timestamp(now, micros));
         }
     }
 

@@ -8,7 +8,7 @@ use super::station::SerialDevice;
 use super::tally::Tally;
 use super::world::World;
 use crate::devices::Order;
-use jointbus_mcu_bridge::engine::config::{Network, Port, Protocol, Route};
+use jointbus_mcu_bridge::engine::config::{Port, Protocol, Route, Topology};
 use jointbus_protocol::checksum;
 use jointbus_protocol::time::Instant;
 use std::collections::HashMap;
@@ -76,7 +76,7 @@ struct Unit {
 /// The host.
 #[derive(Debug)]
 pub struct Master {
-    network: Network,
+    network: Topology,
     units: Vec<Unit>,
     written: HashMap<u32, Written>,
     broadcasts: Vec<Broadcast>,
@@ -98,7 +98,7 @@ pub struct Master {
 impl Master {
     /// A host of a bridge with these routes.
     #[must_use]
-    pub fn new(network: &Network) -> Self {
+    pub fn new(network: &Topology) -> Self {
         Self {
             network: *network,
             units: (0..=u8::MAX).map(|_| Unit::default()).collect(),
@@ -323,7 +323,7 @@ impl Master {
         if order.value == 0 {
             let unit = self.network.routes.iter().find(|row| row.is_used() && port_of(row) == port.index());
             let unit =
-                unit.map_or(0, |row| row.first_unit.wrapping_add(address.wrapping_sub(row.first_remote)));
+                unit.map_or(0, |row| row.first_unit.wrapping_add(address.wrapping_sub(row.first_address)));
             let left = self.units[usize::from(unit)].commands.entry(order.function).or_default();
             if *left == 0 {
                 self.tally.violation(now, || {
@@ -417,12 +417,12 @@ fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
 
 /// The port behind which the devices of a route are.
 fn port_of(route: &Route) -> usize {
-    use jointbus_mcu_bridge::engine::config::Bus;
+    use jointbus_mcu_bridge::engine::config::Target;
     match route.bus {
-        Bus::Rs485A => Port::Rs485A.index(),
-        Bus::Rs485B => Port::Rs485B.index(),
-        Bus::Can => Port::Can.index(),
-        Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Port::Host.index(),
+        Target::Rs485A => Port::Rs485A.index(),
+        Target::Rs485B => Port::Rs485B.index(),
+        Target::Can => Port::Can.index(),
+        Target::LocalOutputs | Target::LocalIo | Target::Bridge => Port::Host.index(),
     }
 }
 
@@ -450,7 +450,7 @@ fn reply_length(prefix: &[u8], nst: bool) -> Option<usize> {
 
 /// Whether a route speaks NST.
 #[must_use]
-pub(super) fn is_nst(network: &Network, unit: u8) -> bool {
+pub(super) fn is_nst(network: &Topology, unit: u8) -> bool {
     network
         .route(unit)
         .is_some_and(|(_, route)| matches!(route.protocol, Protocol::Nst | Protocol::NstOverCan))

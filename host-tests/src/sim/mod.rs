@@ -32,9 +32,9 @@
 //!
 //! ```
 //! use jointbus_host_tests::sim::{Notice, Settings, World, MILLIS};
-//! use jointbus_mcu_bridge::io::serial::Queues;
+//! use jointbus_mcu_bridge::io::serial::UartBuffers;
 //!
-//! let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+//! let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
 //! let mut world = World::new(Settings::new(1), &mut queues);
 //! // the six axes of the sensor behind unit 16
 //! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0xC4, 0x4A]);

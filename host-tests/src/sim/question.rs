@@ -3,7 +3,7 @@
 use super::board::INPUTS;
 use super::random::Random;
 use super::station::{MODULES, PATTERN, SCRATCH, pattern};
-use jointbus_mcu_bridge::engine::config::{Bus, Network, Route};
+use jointbus_mcu_bridge::engine::config::{Route, Target, Topology};
 use jointbus_protocol::modbus::{self, AddressRange, FunctionCode, rtu};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
 use jointbus_protocol::nxi6201;
@@ -178,8 +178,8 @@ impl Question {
     #[must_use]
     pub fn transfers(&self, route: &Route) -> u64 {
         match (route.bus, self) {
-            (Bus::Can, Self::Pattern { length, .. }) => u64::from(*length).div_ceil(can::READ_MAX as u64),
-            (Bus::Can, Self::Write { length, .. }) => u64::from(*length).div_ceil(can::WRITE_MAX as u64),
+            (Target::Can, Self::Pattern { length, .. }) => u64::from(*length).div_ceil(can::READ_MAX as u64),
+            (Target::Can, Self::Write { length, .. }) => u64::from(*length).div_ceil(can::WRITE_MAX as u64),
             _ => 1,
         }
     }
@@ -375,14 +375,14 @@ pub struct Questions {
 impl Questions {
     /// Questions to the sensors and modules that a bridge with these routes reaches, and to itself.
     #[must_use]
-    pub fn new(network: &Network, sensors: u8, nodes: u8, mut random: Random) -> Self {
+    pub fn new(network: &Topology, sensors: u8, nodes: u8, mut random: Random) -> Self {
         let mut units = Vec::new();
         for row in network.routes.iter().filter(|row| row.is_used()) {
             let count = match row.bus {
-                Bus::Can => nodes,
-                Bus::Rs485A => sensors,
-                Bus::Rs485B => MODULES as u8,
-                Bus::Bridge | Bus::LocalOutputs | Bus::LocalIo => 1,
+                Target::Can => nodes,
+                Target::Rs485A => sensors,
+                Target::Rs485B => MODULES as u8,
+                Target::Bridge | Target::LocalOutputs | Target::LocalIo => 1,
             };
             units.extend((row.first_unit..=row.last_unit).take(count.into()));
         }
@@ -405,7 +405,7 @@ impl Questions {
     }
 
     /// A unit and a question to it.
-    pub fn next(&mut self, network: &Network) -> (u8, Question) {
+    pub fn next(&mut self, network: &Topology) -> (u8, Question) {
         let unit = self.random.pick(&self.units);
         (unit, self.for_unit(network, unit))
     }
@@ -433,7 +433,7 @@ impl Questions {
     }
 
     /// A question to this unit.
-    pub fn for_unit(&mut self, network: &Network, unit: u8) -> Question {
+    pub fn for_unit(&mut self, network: &Topology, unit: u8) -> Question {
         let token = self.next_token();
         let short = token as u16;
         let bus = network.route(unit).map(|(_, route)| (route.bus, route.protocol.is_nst()));
@@ -466,19 +466,19 @@ impl Questions {
                     Question::Pattern { register: self.register, length }
                 }
             },
-            Some((Bus::Bridge, false)) => match self.random.below(4) {
+            Some((Target::Bridge, false)) => match self.random.below(4) {
                 0 => Question::Slot,
                 _ => Question::Loopback { token: short },
             },
-            Some((Bus::LocalOutputs, false)) if write => {
+            Some((Target::LocalOutputs, false)) if write => {
                 Question::CardValue { channel: self.random.below(4) as u8, token: short }
             }
-            Some((Bus::LocalOutputs, false)) => Question::CardRate,
-            Some((Bus::LocalIo, false)) if write => {
+            Some((Target::LocalOutputs, false)) => Question::CardRate,
+            Some((Target::LocalIo, false)) if write => {
                 let on = self.random.chance(500_000);
                 Question::BoardOutput { channel: self.random.below(8) as u8, on }
             }
-            Some((Bus::LocalIo, false)) => {
+            Some((Target::LocalIo, false)) => {
                 let first = self.random.below(INPUTS.len() as u64) as u8;
                 let most = INPUTS.len() as u64 - u64::from(first);
                 Question::BoardInputs { first, count: self.random.between(1, most) as u8 }

@@ -12,8 +12,8 @@ use super::station::{flip_bits, reseal};
 use super::tally::Tally;
 use super::world::{Notice, World};
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::{Bus, Network, Port, Protocol};
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::engine::config::{Port, Protocol, Target, Topology};
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::decode::STRAY_MAX;
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
 use jointbus_protocol::nst::serial::encode_request;
@@ -77,7 +77,7 @@ impl Plan {
         // and some stations speak Modbus ASCII
         if random.chance(250_000) {
             let rows = settings.network.routes.iter_mut();
-            rows.filter(|row| row.bus == Bus::Rs485B).for_each(|row| row.protocol = Protocol::ModbusAscii);
+            rows.filter(|row| row.bus == Target::Rs485B).for_each(|row| row.protocol = Protocol::ModbusAscii);
         }
         settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
         let manner = match random.below(3) {
@@ -106,7 +106,7 @@ impl Plan {
     /// Carries the plan out.
     #[must_use]
     pub fn run(self) -> Tally {
-        let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+        let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
         let mut run = Run::new(self, &mut queues);
         run.to_the_end();
         run.master.tally
@@ -121,7 +121,7 @@ pub struct Run<'q> {
     pub master: Master,
     /// What it asks.
     pub questions: Questions,
-    network: Network,
+    network: Topology,
     random: Random,
     plan: Plan,
     asked: u64,
@@ -135,7 +135,7 @@ pub struct Run<'q> {
 impl<'q> Run<'q> {
     /// A run at its beginning.
     #[must_use]
-    pub fn new(plan: Plan, queues: &'q mut [Queues; 3]) -> Self {
+    pub fn new(plan: Plan, queues: &'q mut [UartBuffers; 3]) -> Self {
         let mut random = Random::new(plan.settings.seed ^ 0xA5C);
         let network = plan.settings.network;
         Self {
@@ -540,7 +540,7 @@ impl<'q> Run<'q> {
 fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
     let mut buffer = [0; rtu::FRAME_MAX];
     let token = 0xEE00_0000 | random.next() as u32 & 0x00FF_FFFF;
-    let network = Network::default();
+    let network = Topology::default();
     if unit == u8::MAX || is_nst(&network, unit) {
         let request = nst::Request::Write { register: 0, data: &token.to_be_bytes() };
         encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()

@@ -1,6 +1,6 @@
 use super::delay::Delay;
 use super::moment::MICROS;
-use jointbus_mcu_bridge::engine::config::{Limits, Network};
+use jointbus_mcu_bridge::engine::config::{Limits, Topology};
 
 /// What is simulated.
 #[derive(Debug, Clone)]
@@ -8,7 +8,7 @@ pub struct Settings {
     /// Everything random follows from it.
     pub seed: u64,
     /// Ports and routes of the bridge.
-    pub network: Network,
+    pub network: Topology,
     /// Its other limits.
     pub limits: Limits,
     /// NST sensors on the first RS485 line, at the addresses from 1.
@@ -31,7 +31,7 @@ impl Settings {
     pub fn new(seed: u64) -> Self {
         Self {
             seed,
-            network: Network::default(),
+            network: Topology::default(),
             limits: Limits::default(),
             sensors: 5,
             nodes: 5,

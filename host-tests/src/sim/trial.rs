@@ -9,8 +9,8 @@ use super::run::{Manner, Plan, Run};
 use super::settings::Settings;
 use super::world::Notice;
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::{Bus, Port, Route};
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::engine::config::{Port, Route, Target};
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{FrameType, Identifier};
 use std::collections::HashMap;
@@ -76,7 +76,7 @@ impl Trial {
     /// Injects a fault into the traffic of a seed.
     #[must_use]
     pub fn of(fault: Fault, seed: u64) -> Self {
-        let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+        let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
         let mut course = Course::new(fault, seed, &mut queues);
         course.warm_up();
         course.bring_about();
@@ -87,7 +87,7 @@ impl Trial {
 }
 
 impl<'q> Course<'q> {
-    fn new(fault: Fault, seed: u64, queues: &'q mut [Queues; 3]) -> Self {
+    fn new(fault: Fault, seed: u64, queues: &'q mut [UartBuffers; 3]) -> Self {
         let mut random = Random::new(seed ^ 0x0FA7);
         let mut settings = Settings::new(seed);
         let bus = match fault.place() {
@@ -200,10 +200,10 @@ impl<'q> Course<'q> {
 
     fn port_of(&self, unit: u8) -> Option<Port> {
         match self.route(unit).bus {
-            Bus::Rs485A => Some(Port::Rs485A),
-            Bus::Rs485B => Some(Port::Rs485B),
-            Bus::Can => Some(Port::Can),
-            Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => None,
+            Target::Rs485A => Some(Port::Rs485A),
+            Target::Rs485B => Some(Port::Rs485B),
+            Target::Can => Some(Port::Can),
+            Target::LocalOutputs | Target::LocalIo | Target::Bridge => None,
         }
     }
 
@@ -295,8 +295,8 @@ impl<'q> Course<'q> {
             self.judge(unit, form, asked, &question);
         }
         if unanswered > 0 {
-            let hold_off = route.hold_off(question.is_read()).as_micros() * MICROS;
-            self.owed.insert((unit, form), last_sent.saturating_add(hold_off + NOTICED));
+            let late_response_window = route.late_response_window(question.is_read()).as_micros() * MICROS;
+            self.owed.insert((unit, form), last_sent.saturating_add(late_response_window + NOTICED));
         }
         let (row, last) = self.in_a_row.entry(unit).or_default();
         *row = if failed { *row + 1 } else { 0 };

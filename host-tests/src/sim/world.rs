@@ -18,7 +18,7 @@ use super::station::{CanStation, SerialStation};
 use crate::devices::Order;
 use jointbus_mcu_bridge::engine::Engine;
 use jointbus_mcu_bridge::engine::config::{self, Port, PortConfig};
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::time::Duration;
 use std::collections::VecDeque;
@@ -144,7 +144,7 @@ pub struct World<'q> {
 impl<'q> World<'q> {
     /// A world at its beginning. The queues are those between the bridge's interrupts and its main loop.
     #[must_use]
-    pub fn new(settings: Settings, queues: &'q mut [Queues; 3]) -> Self {
+    pub fn new(settings: Settings, queues: &'q mut [UartBuffers; 3]) -> Self {
         let mut random = Random::new(settings.seed);
         let now = Moment::from_nanos(1_000_000_000);
         let (board, uarts) = Board::new(&settings, queues, now.instant());
@@ -177,7 +177,7 @@ impl<'q> World<'q> {
                 Port::Rs485B,
                 vec![SerialStation::station(
                     settings.station_delay,
-                    settings.network.speaks_ascii(config::Bus::Rs485B),
+                    settings.network.speaks_ascii(config::Target::Rs485B),
                 )],
             ),
         ];
@@ -355,16 +355,16 @@ impl<'q> World<'q> {
     fn main_loop(&mut self) {
         self.turn = None;
         let handed = self.board.turn(self.now, &mut self.can);
-        self.carry_out(&handed);
+        self.fill_tx(&handed);
         let tick = self.now.saturating_add(1).rounded_up(TICK);
         if handed.again {
             self.wake(tick);
-        } else if let Some(deadline) = self.board.engine.deadline() {
+        } else if let Some(deadline) = self.board.engine.poll_at() {
             self.wake(Moment::of(deadline).rounded_up(TICK).max(tick));
         }
     }
 
-    fn carry_out(&mut self, handed: &Handed) {
+    fn fill_tx(&mut self, handed: &Handed) {
         for (index, changed) in handed.changed.iter().enumerate() {
             let Some(config) = changed else { continue };
             match SERIAL[index] {

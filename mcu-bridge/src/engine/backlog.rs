@@ -21,9 +21,9 @@ pub(super) type Content = Vec<u8, FRAME_MAX, u16>;
 
 /// Where a [`Backlog`] keeps the bytes of a request until it is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Place(u8);
+pub(super) struct ContentIndex(u8);
 
-impl Place {
+impl ContentIndex {
     fn free(self, kept: &mut [Kept]) {
         if let Some(kept) = kept.get_mut(usize::from(self.0)) {
             kept.is_taken = false;
@@ -78,32 +78,32 @@ impl Backlog {
         if self.queue.0.is_full() {
             return Err(QueueFull);
         }
-        let place = self.keep(write).ok_or(QueueFull)?;
-        self.queue.0.push(Waiting { request: *request, place }).map_err(|_| QueueFull)
+        let index = self.keep(write).ok_or(QueueFull)?;
+        self.queue.0.push(Waiting { request: *request, index }).map_err(|_| QueueFull)
     }
 
-    fn keep(&mut self, write: impl FnOnce(&mut Content)) -> Option<Place> {
+    fn keep(&mut self, write: impl FnOnce(&mut Content)) -> Option<ContentIndex> {
         let (index, kept) = (0..).zip(&mut self.kept).find(|(_, kept)| !kept.is_taken)?;
         kept.is_taken = true;
         kept.content.clear();
         write(&mut kept.content);
-        Some(Place(index))
+        Some(ContentIndex(index))
     }
 
     /// The bytes of a request.
     #[inline(never)] // asked in many places
-    pub(super) fn content(&self, place: Place) -> &[u8] {
-        self.kept.get(usize::from(place.0)).map_or(&[], |kept| &kept.content)
+    pub(super) fn content(&self, index: ContentIndex) -> &[u8] {
+        self.kept.get(usize::from(index.0)).map_or(&[], |kept| &kept.content)
     }
 
     /// The same, for data that is to be kept behind them.
-    pub(super) fn content_mut(&mut self, place: Place) -> Option<&mut Content> {
-        self.kept.get_mut(usize::from(place.0)).map(|kept| &mut kept.content)
+    pub(super) fn content_mut(&mut self, index: ContentIndex) -> Option<&mut Content> {
+        self.kept.get_mut(usize::from(index.0)).map(|kept| &mut kept.content)
     }
 
     /// A request is done.
-    pub(super) fn free(&mut self, place: Place) {
-        place.free(&mut self.kept);
+    pub(super) fn free(&mut self, index: ContentIndex) {
+        index.free(&mut self.kept);
     }
 
     /// The next request for the bus: the host's go before the bridge's own polling.
@@ -112,10 +112,10 @@ impl Backlog {
             return None;
         }
         if around.host.output.has_room()
-            && let Some(Waiting { request, place }) = self.queue.next(&self.owed, now)
+            && let Some(Waiting { request, index }) = self.queue.next(&self.owed, now)
         {
             around.host.output.reserve();
-            return Some(Transaction::new(request, place));
+            return Some(Transaction::new(request, index));
         }
         loop {
             let held = |request: &Request| self.owed.holds(request, now);
@@ -124,17 +124,17 @@ impl Backlog {
                 Admission::Normal => {}
                 Admission::Probe => request.become_probe(around.limits),
                 Admission::Refused => {
-                    // no longer due, so the next look finds another slot or none
+                    // no longer due, so the next look finds another request or none
                     around.fail(&request);
                     continue;
                 }
             }
-            let Some(place) = self.keep(|content| polling::read(&request, content)) else {
-                // there is a place for each that waits and one more
+            let Some(index) = self.keep(|content| polling::read(&request, content)) else {
+                // there is an index for each that waits and one more
                 around.fail(&request);
                 return None;
             };
-            return Some(Transaction::new(request, place));
+            return Some(Transaction::new(request, index));
         }
     }
 
@@ -146,7 +146,7 @@ impl Backlog {
         {
             count(&mut around.counters.expired);
             around.fail(&waiting.request);
-            waiting.place.free(&mut self.kept);
+            waiting.index.free(&mut self.kept);
         }
     }
 
@@ -196,7 +196,7 @@ impl Backlog {
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     request: Request,
-    place: Place,
+    index: ContentIndex,
 }
 
 /// RequestFraming that wait for a bus.
@@ -263,7 +263,7 @@ impl OwedReplies {
     /// So many attempts at a request timed out, the last of which was `sent` then.
     pub(super) fn add(&mut self, request: &Request, expected: Expected, replies: u8, sent: Instant) {
         if replies > 0 {
-            let until = sent.saturating_add(request.hold_off.into());
+            let until = sent.saturating_add(request.late_response_window.into());
             let before = |window| until.saturating_duration_since(sent.saturating_add(window)).into();
             let probed = request.probe_window().map(before);
             // a transaction starts only while there is room, and adds at most once
@@ -324,11 +324,11 @@ impl OwedReplies {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::config::{Limits, Network};
+    use crate::engine::config::{Limits, Topology};
     use jointbus_protocol::nst;
 
     fn request(unit: u8, function: nst::FunctionCode) -> Request {
-        let network = Network::default();
+        let network = Topology::default();
         let (number, route) = network.route(16).unwrap();
         let asked = nst::Request::Command { function, register: 0, length: 1 };
         let expected = Expected::Nst(nst::serial::ExpectedResponse::new(unit, &asked));
@@ -344,7 +344,7 @@ mod tests {
     }
 
     fn push(queue: &mut Queue, unit: u8, function: nst::FunctionCode) -> Result<(), Waiting> {
-        queue.0.push(Waiting { request: request(unit, function), place: Place(0) })
+        queue.0.push(Waiting { request: request(unit, function), index: ContentIndex(0) })
     }
 
     const READ: nst::FunctionCode = nst::FunctionCode::Read;
@@ -368,7 +368,7 @@ mod tests {
             push(&mut queue, unit, function).unwrap();
         }
         let mut owed = OwedReplies::new();
-        let owing = Request { hold_off: Duration::from_micros(10).into(), ..request(1, READ) };
+        let owing = Request { late_response_window: Duration::from_micros(10).into(), ..request(1, READ) };
         owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
         assert_eq!(order(&mut queue, &owed), [(2, 3)]);
         assert!(!owed.expire(Instant::from_micros(9)));

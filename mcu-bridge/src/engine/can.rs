@@ -81,7 +81,7 @@ pub(super) struct CanBus {
     /// Frames that the controller has and that nobody acknowledged so far.
     outstanding: u8,
     /// Read replies with function code 0x10, as the manual prints them (4.3.2.10).
-    quirks: u32,
+    legacy_codes: u32,
     back_off: BackOff,
 }
 
@@ -95,7 +95,7 @@ impl CanBus {
             reassembler: Reassembler::new(0, Duration::ZERO),
             node: 0,
             outstanding: 0,
-            quirks: 0,
+            legacy_codes: 0,
             back_off: BackOff { next: Duration::ZERO, restart: None, is_off: false },
         }
     }
@@ -126,8 +126,8 @@ impl CanBus {
         self.back_off.restart.take_if(|restart| now >= *restart).is_some()
     }
 
-    pub(super) const fn quirks(&self) -> u32 {
-        self.quirks
+    pub(super) const fn legacy_codes(&self) -> u32 {
+        self.legacy_codes
     }
 
     /// Takes a request.
@@ -217,10 +217,10 @@ impl CanBus {
             return;
         };
         if quirk {
-            count(&mut self.quirks);
+            count(&mut self.legacy_codes);
         }
         let data = body.get(nst::RESPONSE_HEADER..).unwrap_or(&[]);
-        if let Some(content) = self.backlog.content_mut(flight.transaction.place) {
+        if let Some(content) = self.backlog.content_mut(flight.transaction.index) {
             let _ = content.extend_from_slice(data);
         }
         flight.moved = flight.moved.saturating_add(flight.part.length);
@@ -230,7 +230,7 @@ impl CanBus {
         }
         let late = core::mem::take(&mut transaction.unanswered);
         self.backlog.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
-        let content = self.backlog.content(transaction.place);
+        let content = self.backlog.content(transaction.index);
         match following_part(content, &transaction.request, flight.moved, &mut self.body) {
             Some(part) => {
                 flight.part = part;
@@ -241,12 +241,12 @@ impl CanBus {
                 let function = transaction.request.function;
                 if transaction.request.is_read() {
                     // in front of the data stands the request's length, in front of that its register
-                    if let Some(content) = self.backlog.content_mut(transaction.place)
+                    if let Some(content) = self.backlog.content_mut(transaction.index)
                         && let Some([code, ..]) = content.get_mut(REPLY_START..)
                     {
                         *code = function;
                     }
-                    let reply = self.backlog.content(transaction.place).get(REPLY_START..).unwrap_or(&[]);
+                    let reply = self.backlog.content(transaction.index).get(REPLY_START..).unwrap_or(&[]);
                     around.answer(&transaction.request, reply, sent, now);
                 } else {
                     around.answer(&transaction.request, &[function, flight.moved], sent, now);
@@ -304,7 +304,7 @@ impl CanBus {
         if self.flight.is_none()
             && let Some(transaction) = self.backlog.next(now, around)
         {
-            let content = self.backlog.content(transaction.place);
+            let content = self.backlog.content(transaction.index);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
                     self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, moved: 0, part });
@@ -343,7 +343,7 @@ impl CanBus {
         }
         if flight.transaction.request.expected.is_none() {
             flight.moved = flight.moved.saturating_add(flight.part.length);
-            let content = self.backlog.content(flight.transaction.place);
+            let content = self.backlog.content(flight.transaction.index);
             match following_part(content, &flight.transaction.request, flight.moved, &mut self.body) {
                 Some(part) => {
                     flight.part = part;

@@ -34,7 +34,7 @@ impl Port {
 
 /// Where a route leads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Bus {
+pub enum Target {
     /// First RS485 bus.
     Rs485A,
     /// Second RS485 bus.
@@ -49,7 +49,7 @@ pub enum Bus {
     Bridge,
 }
 
-impl Bus {
+impl Target {
     /// The bus with this number in a route register.
     #[must_use]
     pub const fn from_value(value: u16) -> Option<Self> {
@@ -141,11 +141,11 @@ pub struct Route {
     /// Last unit that the host sees; 0 with a first unit of 0 leaves the row unused.
     pub last_unit: u8,
     /// Where it leads.
-    pub bus: Bus,
+    pub bus: Target,
     /// What is spoken there.
     pub protocol: Protocol,
     /// Address of the first unit over there.
-    pub first_remote: u8,
+    pub first_address: u8,
     /// Time that a device has to answer a read, in ms, 1 and up.
     pub read_timeout_ms: u16,
     /// Time that a device has to answer anything else, in ms, 1 and up.
@@ -162,21 +162,27 @@ pub struct Route {
 
 impl Route {
     /// An unused row.
-    pub const UNUSED: Self = Self::local(0, Bus::Bridge);
+    pub const UNUSED: Self = Self::local(0, Target::Bridge);
 
     /// A row for one of the board's own units.
-    const fn local(unit: u8, bus: Bus) -> Self {
+    const fn local(unit: u8, bus: Target) -> Self {
         Self::remote(unit, unit, bus, Protocol::ModbusRtu, unit)
     }
 
-    const fn remote(first_unit: u8, last_unit: u8, bus: Bus, protocol: Protocol, first_remote: u8) -> Self {
+    const fn remote(
+        first_unit: u8,
+        last_unit: u8,
+        bus: Target,
+        protocol: Protocol,
+        first_address: u8,
+    ) -> Self {
         let (read_timeout_ms, time_to_live_ms) = if protocol.is_nst() { (50, 100) } else { (200, 1000) };
         Self {
             first_unit,
             last_unit,
             bus,
             protocol,
-            first_remote,
+            first_address,
             read_timeout_ms,
             write_timeout_ms: 500,
             read_retries: 1,
@@ -201,7 +207,7 @@ impl Route {
     /// Address over there of a unit that it serves.
     #[must_use]
     pub const fn remote_of(&self, unit: u8) -> u8 {
-        self.first_remote.wrapping_add(unit.wrapping_sub(self.first_unit))
+        self.first_address.wrapping_add(unit.wrapping_sub(self.first_unit))
     }
 
     /// Time that a device has to answer.
@@ -213,7 +219,7 @@ impl Route {
 
     /// How long a device that let a request time out owes the reply.
     #[must_use]
-    pub const fn hold_off(&self, is_read: bool) -> Duration {
+    pub const fn late_response_window(&self, is_read: bool) -> Duration {
         match self.hold_off_ms {
             0 => self.timeout(is_read).saturating_mul(3),
             millis => Duration::from_millis(millis as u64),
@@ -228,17 +234,19 @@ impl Route {
         // 0 and 255 are broadcasts
         let units = self.first_unit >= 1 && self.first_unit <= self.last_unit && self.last_unit < u8::MAX;
         let steps = self.last_unit.saturating_sub(self.first_unit);
-        let last_remote = self.first_remote.checked_add(steps);
+        let last_remote = self.first_address.checked_add(steps);
         let highest = match (self.bus, self.protocol) {
-            (Bus::Rs485A | Bus::Rs485B, Protocol::ModbusRtu | Protocol::ModbusAscii) => ndam9010::UNIT_MAX,
-            (Bus::Rs485A | Bus::Rs485B, Protocol::Nst) | (Bus::Can, Protocol::NstOverCan) => {
+            (Target::Rs485A | Target::Rs485B, Protocol::ModbusRtu | Protocol::ModbusAscii) => {
+                ndam9010::UNIT_MAX
+            }
+            (Target::Rs485A | Target::Rs485B, Protocol::Nst) | (Target::Can, Protocol::NstOverCan) => {
                 jointbus_protocol::nst::ADDRESS_MAX
             }
             // the board's own units have no address over there
-            (Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge, Protocol::ModbusRtu) => u8::MAX,
+            (Target::LocalOutputs | Target::LocalIo | Target::Bridge, Protocol::ModbusRtu) => u8::MAX,
             _ => return false,
         };
-        let remotes = self.first_remote >= 1 && last_remote.is_some_and(|last| last <= highest);
+        let remotes = self.first_address >= 1 && last_remote.is_some_and(|last| last <= highest);
         let times = self.read_timeout_ms > 0 && self.write_timeout_ms > 0 && self.time_to_live_ms > 0;
         units && remotes && times
     }
@@ -331,20 +339,20 @@ pub const ROUTES: usize = 16;
 
 /// Ports and routes: what is applied together, confirmed and rolled back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Network {
+pub struct Topology {
     /// The ports.
     pub ports: [PortConfig; 4],
     /// The routing table.
     pub routes: [Route; ROUTES],
 }
 
-impl Default for Network {
+impl Default for Topology {
     fn default() -> Self {
         Self::DEFAULT
     }
 }
 
-impl Network {
+impl Topology {
     /// No ports and no routes, in zeros.
     pub(super) const ZERO: Self = {
         let port =
@@ -352,9 +360,9 @@ impl Network {
         let route = Route {
             first_unit: 0,
             last_unit: 0,
-            bus: Bus::Rs485A,
+            bus: Target::Rs485A,
             protocol: Protocol::ModbusRtu,
-            first_remote: 0,
+            first_address: 0,
             read_timeout_ms: 0,
             write_timeout_ms: 0,
             read_retries: 0,
@@ -368,12 +376,12 @@ impl Network {
     /// Ports and routes that nobody has changed.
     pub const DEFAULT: Self = {
         let mut routes = [Route::UNUSED; ROUTES];
-        routes[0] = Route::remote(1, 15, Bus::Can, Protocol::NstOverCan, 1);
-        routes[1] = Route::remote(16, 30, Bus::Rs485A, Protocol::Nst, 1);
-        routes[2] = Route::local(31, Bus::LocalOutputs);
-        routes[3] = Route::remote(32, 39, Bus::Rs485B, Protocol::ModbusRtu, 1);
-        routes[4] = Route::local(40, Bus::LocalIo);
-        routes[5] = Route::local(247, Bus::Bridge);
+        routes[0] = Route::remote(1, 15, Target::Can, Protocol::NstOverCan, 1);
+        routes[1] = Route::remote(16, 30, Target::Rs485A, Protocol::Nst, 1);
+        routes[2] = Route::local(31, Target::LocalOutputs);
+        routes[3] = Route::remote(32, 39, Target::Rs485B, Protocol::ModbusRtu, 1);
+        routes[4] = Route::local(40, Target::LocalIo);
+        routes[5] = Route::local(247, Target::Bridge);
         let ports = [
             PortConfig::serial(921_600, 0),
             PortConfig::serial(115_200, 0),
@@ -388,9 +396,9 @@ impl Network {
     #[must_use]
     pub fn is_valid(&self) -> bool {
         let reaches_bridge =
-            (1..u8::MAX).any(|unit| self.route(unit).is_some_and(|(_, route)| route.bus == Bus::Bridge));
+            (1..u8::MAX).any(|unit| self.route(unit).is_some_and(|(_, route)| route.bus == Target::Bridge));
         // one codec a serial line
-        let one_codec = [Bus::Rs485A, Bus::Rs485B].iter().all(|bus| {
+        let one_codec = [Target::Rs485A, Target::Rs485B].iter().all(|bus| {
             let mut codecs = self.routes.iter().filter(|row| row.is_used() && row.bus == *bus);
             codecs.next().is_none_or(|first| codecs.all(|row| row.protocol == first.protocol))
         });
@@ -410,7 +418,7 @@ impl Network {
 
     /// Whether a bus speaks Modbus ASCII: all of its routes do.
     #[must_use]
-    pub fn speaks_ascii(&self, bus: Bus) -> bool {
+    pub fn speaks_ascii(&self, bus: Target) -> bool {
         self.routes.iter().any(|row| row.is_used() && row.bus == bus && row.protocol == Protocol::ModbusAscii)
     }
 

@@ -1,7 +1,7 @@
 //! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
 
 use super::backlog::{Content, QueueFull};
-use super::config::{Bus, Port, Route};
+use super::config::{Port, Route, Target};
 use super::counters::count;
 use super::host::HostFormat;
 use super::listener::Spelling;
@@ -74,7 +74,7 @@ impl Core {
         let Some((&unit, body)) = checksum::strip_crc(frame).and_then(<[u8]>::split_first) else { return };
         match unit {
             modbus::BROADCAST => {
-                self.broadcast_modbus(unit, body, &[Bus::Rs485A, Bus::Rs485B, Bus::LocalIo], now)
+                self.broadcast_modbus(unit, body, &[Target::Rs485A, Target::Rs485B, Target::LocalIo], now)
             }
             nst::BROADCAST => {
                 let whole = FrameLength::Exactly(frame.len());
@@ -82,7 +82,7 @@ impl Core {
                     self.broadcast_nst(body, now);
                 }
                 if rtu::request_length(frame) == whole {
-                    self.broadcast_modbus(unit, body, &[Bus::LocalOutputs], now);
+                    self.broadcast_modbus(unit, body, &[Target::LocalOutputs], now);
                 }
             }
             _ => match self.routes().find(unit) {
@@ -112,8 +112,8 @@ impl Core {
     fn admit(&mut self, route: &Route, mut request: Request, body: &[u8], now: Instant) {
         let (unit, function) = (request.unit, request.function);
         let waits = match route.bus {
-            Bus::Rs485A => self.rs485_a.holds(&request, now),
-            Bus::Rs485B => self.rs485_b.holds(&request, now),
+            Target::Rs485A => self.rs485_a.holds(&request, now),
+            Target::Rs485B => self.rs485_b.holds(&request, now),
             _ => self.can.holds(&request, now),
         };
         let refusal = match self.quarantine.admit(unit, waits, &self.limits, now) {
@@ -146,12 +146,12 @@ impl Core {
         if route.refuse_writes && !asked.is_read() {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
-        if matches!(route.bus, Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge) {
+        if matches!(route.bus, Target::LocalOutputs | Target::LocalIo | Target::Bridge) {
             if !self.output.has_room() {
                 return self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
             }
             return match route.bus {
-                Bus::Bridge => self.serve_own(unit, body, now),
+                Target::Bridge => self.serve_own(unit, body, now),
                 _ => self.serve_local(unit, route.bus, &asked),
             };
         }
@@ -164,10 +164,10 @@ impl Core {
     /// Answers for the board's own outputs or inputs and outputs. Apart, so that a request for a bus goes without its
     /// buffer.
     #[inline(never)]
-    fn serve_local(&mut self, unit: u8, bus: Bus, asked: &modbus::Request<'_>) {
+    fn serve_local(&mut self, unit: u8, bus: Target, asked: &modbus::Request<'_>) {
         let mut out = [0; modbus::PDU_MAX];
         let response = match bus {
-            Bus::LocalOutputs => self.outputs.dispatch(asked, &mut out),
+            Target::LocalOutputs => self.outputs.dispatch(asked, &mut out),
             _ => ndam9010::dispatch(&mut self.io, asked, &mut out),
         };
         if let Ok(response) = response {
@@ -177,7 +177,7 @@ impl Core {
     }
 
     /// A broadcast of Modbus: writes only, never answered.
-    fn broadcast_modbus(&mut self, address: u8, body: &[u8], to: &[Bus], now: Instant) {
+    fn broadcast_modbus(&mut self, address: u8, body: &[u8], to: &[Target], now: Instant) {
         let Ok(asked) = modbus::Request::decode(body) else { return };
         if asked.is_read() {
             return self.refuse(modbus::BROADCAST, None);
@@ -187,10 +187,10 @@ impl Core {
             // function code, address, and value or quantity: nobody gets to see it
             let mut unseen = [0; 5];
             match bus {
-                Bus::LocalIo => {
+                Target::LocalIo => {
                     let _ = ndam9010::dispatch(&mut self.io, &asked, &mut unseen);
                 }
-                Bus::LocalOutputs => {
+                Target::LocalOutputs => {
                     let _ = self.outputs.dispatch(&asked, &mut unseen);
                 }
                 _ => self.send_broadcast(&row, asked.function().code(), address, body, now),
@@ -204,7 +204,7 @@ impl Core {
         if asked.function().is_read() {
             return self.refuse(nst::BROADCAST, None);
         }
-        for bus in [Bus::Rs485A, Bus::Rs485B, Bus::Can] {
+        for bus in [Target::Rs485A, Target::Rs485B, Target::Can] {
             if let Some(row) = self.broadcast_row(bus, true) {
                 self.send_broadcast(&row, asked.function().code(), nst::BROADCAST, body, now);
             }
@@ -212,7 +212,7 @@ impl Core {
     }
 
     /// The first route of a bus in that dialect, unless it refuses writes.
-    fn broadcast_row(&self, bus: Bus, is_nst: bool) -> Option<Route> {
+    fn broadcast_row(&self, bus: Target, is_nst: bool) -> Option<Route> {
         let mut rows = self.live.routes.iter();
         let row =
             rows.find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst() == is_nst).copied();
@@ -238,16 +238,16 @@ impl Core {
         let spelling = Spelling::of(route);
         let write = |content: &mut Content| spelling.write(address, body, content);
         match route.bus {
-            Bus::Rs485A | Bus::Rs485B => {
-                let port = if route.bus == Bus::Rs485A { Port::Rs485A } else { Port::Rs485B };
+            Target::Rs485A | Target::Rs485B => {
+                let port = if route.bus == Target::Rs485A { Port::Rs485A } else { Port::Rs485B };
                 let Some((bus, mut around)) = self.serial_parts(port) else { return Err(QueueFull) };
                 bus.push(request, write, now, &mut around)
             }
-            Bus::Can => {
+            Target::Can => {
                 let (can, mut around) = self.can_parts();
                 can.push(request, write, now, &mut around)
             }
-            Bus::LocalOutputs | Bus::LocalIo | Bus::Bridge => Err(QueueFull),
+            Target::LocalOutputs | Target::LocalIo | Target::Bridge => Err(QueueFull),
         }
     }
 

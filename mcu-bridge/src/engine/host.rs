@@ -90,13 +90,13 @@ impl Output {
         self.reserved = self.reserved.saturating_sub(FRAME_MAX);
     }
 
-    /// Queues the refusal of a Modbus request.
+    /// UartBuffers the refusal of a Modbus request.
     #[inline(never)] // in many places, and seldom
     pub(super) fn refuse(&mut self, counters: &mut Counters, unit: u8, function: u8, why: ExceptionCode) {
         self.relay(counters, unit, &[function | FunctionCode::EXCEPTION_FLAG, why.code()]);
     }
 
-    /// Queues a reply of a data unit or body.
+    /// UartBuffers a reply of a data unit or body.
     pub(super) fn relay(&mut self, counters: &mut Counters, unit: u8, content: &[u8]) {
         if OUTPUT.saturating_sub(self.buffer.len()) <= FRAME_MAX && self.start > 0 {
             let left = self.pending().len();

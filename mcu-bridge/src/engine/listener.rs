@@ -1,7 +1,7 @@
 //! How a serial bus spells a request on the wire, and how it finds the reply in what it hears.
 
 use super::backlog::{Content, OWED, OwedReplies};
-use super::config::{Bus, Protocol, Route};
+use super::config::{Protocol, Route, Target};
 use super::host::FRAME_MAX;
 use super::transaction::Expected;
 use heapless::Vec;
@@ -165,7 +165,7 @@ impl Spelling {
     /// What the bus of a route is handed.
     pub(super) const fn of(route: &Route) -> Self {
         match (route.bus, route.protocol) {
-            (Bus::Can, _) => Self::Body,
+            (Target::Can, _) => Self::Body,
             (_, Protocol::ModbusAscii) => Self::Addressed,
             _ => Self::Sealed,
         }

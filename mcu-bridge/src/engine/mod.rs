@@ -18,7 +18,7 @@ mod settings;
 mod transaction;
 
 use can::CanBus;
-use config::{Bus, Limits, Network, Port, PortConfig, ROUTES};
+use config::{Limits, Port, PortConfig, ROUTES, Target, Topology};
 use counters::count;
 use host::{HostDeframer, Output};
 use io::{Analog, LocalIo, LocalOutputs};
@@ -68,11 +68,11 @@ pub struct Engine {
 struct Core {
     identity: Identity,
     health: Health,
-    live: Network,
+    live: Topology,
     /// Of the live network.
     router: Router,
-    staged: Network,
-    confirmed: Network,
+    staged: Topology,
+    confirmed: Topology,
     confirm_until: Option<Instant>,
     limits: Limits,
     command: Option<Command>,
@@ -104,15 +104,15 @@ const AT_ONCE: Instant = Instant::from_micros(0);
 /// Memory for an [`Engine`] that has not started. It is all zeros: a static one lies in `.bss` and takes no flash, and
 /// nothing of the engine is ever on the stack.
 #[derive(Debug)]
-pub struct Place(Engine);
+pub struct Storage(Engine);
 
-impl Default for Place {
+impl Default for Storage {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Place {
+impl Storage {
     /// The memory.
     #[must_use]
     pub const fn new() -> Self {
@@ -121,10 +121,10 @@ impl Place {
             core: Core {
                 identity: Identity { version: [0; 3], reset_cause: ResetCause::PowerOn },
                 health: Health { internal_oscillator: false, no_can: false, defaulted: false },
-                live: Network::ZERO,
+                live: Topology::ZERO,
                 router: Router::ZERO,
-                staged: Network::ZERO,
-                confirmed: Network::ZERO,
+                staged: Topology::ZERO,
+                confirmed: Topology::ZERO,
                 confirm_until: None,
                 limits: Limits::ZERO,
                 command: None,
@@ -171,10 +171,10 @@ const NO_OUTPUTS: nxi6201::Settings = {
 
 impl Engine {
     /// A bridge that starts at `now`, with the default settings: see [`Engine::restore`]. Where memory is scarce,
-    /// [`Place`] does the same without a copy.
+    /// [`Storage`] does the same without a copy.
     #[must_use]
     pub fn new(identity: Identity, now: Instant) -> Self {
-        let Place(mut engine) = Place::new();
+        let Storage(mut engine) = Storage::new();
         engine.start(identity, now);
         engine
     }
@@ -185,10 +185,10 @@ impl Engine {
         core.identity = identity;
         core.limits = Limits::DEFAULT;
         for network in [&mut core.live, &mut core.staged, &mut core.confirmed] {
-            *network = Network::DEFAULT;
+            *network = Topology::DEFAULT;
         }
         core.router.learn(&core.live);
-        core.can.start(Network::DEFAULT.port(Port::Can).node);
+        core.can.start(Topology::DEFAULT.port(Port::Can).node);
         let Ok(outputs) = nxi6201::Card::power_up(LocalOutputs::new(), &nxi6201::Settings::default());
         core.outputs = outputs;
         core.last_request = Some(now);
@@ -227,7 +227,7 @@ impl Engine {
     }
 
     /// A serial port took so many bytes of [`Engine::output`].
-    pub fn consume(&mut self, port: Port, taken: usize) {
+    pub fn advance(&mut self, port: Port, taken: usize) {
         if taken == 0 {
             return;
         }
@@ -241,7 +241,7 @@ impl Engine {
     }
 
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
-    pub fn transmitted(&mut self, port: Port, now: Instant) {
+    pub fn transmit_complete(&mut self, port: Port, now: Instant) {
         self.core.idle_until = AT_ONCE;
         self.core.on_serial(port, |bus, around| bus.transmitted(now, around));
     }
@@ -379,8 +379,8 @@ impl Engine {
 
     /// Replies to reads that came over CAN with function code 0x10, as the NST manual prints them (4.3.2.10).
     #[must_use]
-    pub const fn quirks(&self) -> u32 {
-        self.core.can.quirks()
+    pub const fn legacy_codes(&self) -> u32 {
+        self.core.can.legacy_codes()
     }
 
     /// Does what is due at `now`; where nothing has come since the last time, and nothing is due, that is at once done.
@@ -402,7 +402,7 @@ impl Engine {
 
     /// When [`Engine::poll`] has something to do next, if nothing is received or sent before.
     #[must_use]
-    pub fn deadline(&self) -> Option<Instant> {
+    pub fn poll_at(&self) -> Option<Instant> {
         Some(self.next_due()).filter(|due| *due < Instant::MAX)
     }
 
@@ -428,7 +428,7 @@ impl Core {
         let next = match change {
             Change::None => return,
             Change::Defaults => {
-                *staged = Network::default();
+                *staged = Topology::default();
                 return;
             }
             Change::Apply => &*staged,
@@ -510,7 +510,7 @@ impl Core {
             quarantine: &mut self.quarantine,
             limits: &self.limits,
             routes: Routes { router: &self.router, network: &self.live },
-            bus: if port == Port::Rs485A { Bus::Rs485A } else { Bus::Rs485B },
+            bus: if port == Port::Rs485A { Target::Rs485A } else { Target::Rs485B },
             polling: &mut self.polling,
         };
         Some((bus, around))
@@ -527,7 +527,7 @@ impl Core {
             quarantine: &mut self.quarantine,
             limits: &self.limits,
             routes: Routes { router: &self.router, network: &self.live },
-            bus: Bus::Can,
+            bus: Target::Can,
             polling: &mut self.polling,
         };
         (&mut self.can, around)

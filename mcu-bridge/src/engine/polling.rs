@@ -2,7 +2,7 @@
 
 use super::AT_ONCE;
 use super::backlog::Content;
-use super::config::{Bus, Route};
+use super::config::{Route, Target};
 use super::listener::Spelling;
 use super::router::Routes;
 use super::transaction::{Expected, Origin, Request};
@@ -228,7 +228,7 @@ impl Polling {
     /// The read of the slot that is due on a bus and began its period first, if nothing holds it back.
     pub(super) fn next(
         &mut self,
-        bus: Bus,
+        bus: Target,
         routes: Routes<'_>,
         now: Instant,
         held: impl Fn(&Request) -> bool,

@@ -117,7 +117,7 @@ impl Device {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::config::Network;
+    use crate::engine::config::Topology;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn three_in_a_row_and_one_answer() {
-        let (mut quarantine, limits, network) = (Quarantine::new(), Limits::default(), Network::default());
+        let (mut quarantine, limits, network) = (Quarantine::new(), Limits::default(), Topology::default());
         let (_, route) = network.route(33).unwrap();
         for count in 1..=3 {
             assert_eq!(quarantine.admit(33, false, &limits, at(0)), Admission::Normal);

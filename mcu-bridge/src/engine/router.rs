@@ -1,6 +1,6 @@
 //! The routing table as it is looked through: six rows at once.
 
-use super::config::{Network, ROUTES, Route};
+use super::config::{ROUTES, Route, Topology};
 
 /// Rows in a word: each takes nine bits, a byte and the carry of what is added to it.
 const LANES: usize = 3;
@@ -32,7 +32,7 @@ impl Group {
     }
 }
 
-/// Finds the row of a unit in a [`Network`] in about the same time wherever it stands: the first that serves it.
+/// Finds the row of a unit in a [`Topology`] in about the same time wherever it stands: the first that serves it.
 #[derive(Debug, Clone)]
 pub struct Router([Group; GROUPS]);
 
@@ -42,7 +42,7 @@ impl Router {
 
     /// For the rows of a network.
     #[must_use]
-    pub fn new(network: &Network) -> Self {
+    pub fn new(network: &Topology) -> Self {
         let mut router = Self::ZERO;
         router.learn(network);
         router
@@ -50,7 +50,7 @@ impl Router {
 
     /// Forgets the former rows.
     #[inline(never)] // at the start and when routes change
-    pub(super) fn learn(&mut self, network: &Network) {
+    pub(super) fn learn(&mut self, network: &Topology) {
         let mut rows = network.routes.iter();
         for group in &mut self.0 {
             // a row that is not used serves no unit, and lends its neighbour nothing
@@ -88,7 +88,7 @@ impl Router {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Routes<'a> {
     pub(super) router: &'a Router,
-    pub(super) network: &'a Network,
+    pub(super) network: &'a Topology,
 }
 
 impl<'a> Routes<'a> {
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
     use crate::engine::config::Route;
 
-    fn agree(network: &Network) {
+    fn agree(network: &Topology) {
         let router = Router::new(network);
         for unit in 0..u8::MAX {
             assert_eq!(
@@ -117,8 +117,8 @@ mod tests {
 
     #[test]
     fn every_unit_is_found_in_the_first_row_that_serves_it() {
-        agree(&Network::default());
-        let unused = Network { routes: [Route::UNUSED; ROUTES], ..Network::default() };
+        agree(&Topology::default());
+        let unused = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::default() };
         agree(&unused);
         // any first and last units, in any order and overlapping
         let mut random = 1u32;

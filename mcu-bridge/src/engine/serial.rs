@@ -101,7 +101,7 @@ impl SerialBus {
     pub(super) fn pending(&self) -> &[u8] {
         match self.flight.as_ref() {
             Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) => {
-                outgoing.pending(self.backlog.content(transaction.place))
+                outgoing.pending(self.backlog.content(transaction.index))
             }
             _ => &[],
         }
@@ -111,7 +111,7 @@ impl SerialBus {
     pub(super) fn consume(&mut self, taken: usize) {
         if let Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) = self.flight.as_mut()
         {
-            outgoing.consume(self.backlog.content(transaction.place), taken);
+            outgoing.consume(self.backlog.content(transaction.index), taken);
         }
     }
 
@@ -147,7 +147,7 @@ impl SerialBus {
             && around.port.echo
             && !matches!(flight.phase, Phase::Ready)
         {
-            let content = self.backlog.content(flight.transaction.place);
+            let content = self.backlog.content(flight.transaction.index);
             flight.echo.take(|index| wire_byte(self.is_ascii, content, index), &mut bytes);
         }
         if matches!(self.flight.as_ref(), Some(Flight { phase: Phase::Sending { .. }, .. })) {
@@ -248,7 +248,7 @@ impl SerialBus {
             && matches!(flight.phase, Phase::Ready)
             && now >= self.busy.saturating_add(around.port.gap())
         {
-            let content = self.backlog.content(flight.transaction.place);
+            let content = self.backlog.content(flight.transaction.index);
             let on_wire = around.port.characters(wire_length(self.is_ascii, content));
             let limit = now.saturating_add(on_wire).saturating_add(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { outgoing: Outgoing::start(self.is_ascii, content), limit };
@@ -285,7 +285,7 @@ impl SerialBus {
     /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
     fn count_collision(&self, around: &mut Surroundings<'_>) {
         let Some(Flight { transaction, echo, .. }) = self.flight.as_ref() else { return };
-        let length = wire_length(self.is_ascii, self.backlog.content(transaction.place));
+        let length = wire_length(self.is_ascii, self.backlog.content(transaction.index));
         if around.port.echo && (echo.collided || echo.heard < length) {
             count(&mut around.counters.transmit_errors);
         }

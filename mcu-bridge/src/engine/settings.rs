@@ -1,6 +1,6 @@
 //! All that the host can set, as holding registers and as it is stored.
 
-use super::config::{Bus, Limits, Network, Parity, Port, PortConfig, Protocol, ROUTES, Route};
+use super::config::{Limits, Parity, Port, PortConfig, Protocol, ROUTES, Route, Target, Topology};
 use super::polling::SLOTS;
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::ExceptionCode;
@@ -13,7 +13,7 @@ pub type SlotSettings = [(u8, u16); SLOTS];
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Settings {
     /// Ports and routes.
-    pub network: Network,
+    pub network: Topology,
     /// Limits.
     pub limits: Limits,
     /// Polling slots.
@@ -43,14 +43,14 @@ fn plain_registers() -> impl Iterator<Item = u16> {
 /// The holding registers, where their values are.
 #[derive(Clone, Copy)]
 pub(super) struct Holding<'a> {
-    pub(super) network: &'a Network,
+    pub(super) network: &'a Topology,
     pub(super) limits: &'a Limits,
     pub(super) slots: &'a SlotSettings,
 }
 
 /// The same, to be written.
 pub(super) struct HoldingMut<'a> {
-    pub(super) network: &'a mut Network,
+    pub(super) network: &'a mut Topology,
     pub(super) limits: &'a mut Limits,
     pub(super) slots: &'a mut SlotSettings,
 }
@@ -264,7 +264,7 @@ impl Route {
             1 => self.last_unit.into(),
             2 => self.bus.value(),
             3 => self.protocol.value(),
-            4 => self.first_remote.into(),
+            4 => self.first_address.into(),
             5 => self.read_timeout_ms,
             6 => self.write_timeout_ms,
             7 => self.read_retries.into(),
@@ -280,9 +280,9 @@ impl Route {
         match offset {
             0 => self.first_unit = byte(value)?,
             1 => self.last_unit = byte(value)?,
-            2 => self.bus = Bus::from_value(value).ok_or(refused)?,
+            2 => self.bus = Target::from_value(value).ok_or(refused)?,
             3 => self.protocol = Protocol::from_value(value).ok_or(refused)?,
-            4 => self.first_remote = byte(value)?,
+            4 => self.first_address = byte(value)?,
             5 => self.read_timeout_ms = at_least_1(value)?,
             6 => self.write_timeout_ms = at_least_1(value)?,
             7 => {

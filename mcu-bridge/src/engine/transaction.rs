@@ -1,7 +1,7 @@
 //! A request on its way over a bus: what answers it, how often it is tried, and what a bus may touch for it.
 
-use super::backlog::{Backlog, Place};
-use super::config::{Bus, Limits, PortConfig, ROUTES, Route};
+use super::backlog::{Backlog, ContentIndex};
+use super::config::{Limits, PortConfig, ROUTES, Route, Target};
 use super::counters::{Counters, count};
 use super::host::Output;
 use super::polling::Polling;
@@ -134,7 +134,7 @@ pub(super) struct Request {
     /// Time that the device has for it: more, where a probe is not to hold up the bus.
     pub(super) allowed: Span,
     /// How long a reply is owed after a timeout.
-    pub(super) hold_off: Span,
+    pub(super) late_response_window: Span,
     /// How often it may be sent again.
     pub(super) retries: u8,
     /// Whether what is too long goes in parts.
@@ -160,9 +160,9 @@ impl Request {
             function,
             timeout: route.timeout(is_read).into(),
             allowed: route.timeout(is_read).into(),
-            hold_off: route.hold_off(is_read).into(),
+            late_response_window: route.late_response_window(is_read).into(),
             retries: if is_read { route.read_retries } else { 0 },
-            is_split: route.bus == Bus::Can,
+            is_split: route.bus == Target::Can,
             expires: now.saturating_add(Duration::from_millis(route.time_to_live_ms.into())),
         }
     }
@@ -199,7 +199,7 @@ impl Request {
 pub(super) struct Transaction {
     pub(super) request: Request,
     /// Where its bytes are.
-    pub(super) place: Place,
+    pub(super) index: ContentIndex,
     /// Attempts that may still follow.
     retries_left: u8,
     /// Attempts that timed out.
@@ -209,8 +209,8 @@ pub(super) struct Transaction {
 }
 
 impl Transaction {
-    pub(super) const fn new(request: Request, place: Place) -> Self {
-        Self { retries_left: request.retries, unanswered: 0, sent: None, request, place }
+    pub(super) const fn new(request: Request, index: ContentIndex) -> Self {
+        Self { retries_left: request.retries, unanswered: 0, sent: None, request, index }
     }
 
     /// Another part of the request begins, with as many retries.
@@ -240,7 +240,7 @@ impl Transaction {
         if self.request.origin == Origin::Host {
             around.host.output.release();
         }
-        backlog.free(self.place);
+        backlog.free(self.index);
         if let (Some(expected), Some(sent)) = (expected, self.sent) {
             backlog.owed.add(&self.request, expected, self.unanswered, sent);
         }
@@ -248,7 +248,7 @@ impl Transaction {
 }
 
 /// The one place of a bus for what is in flight: an `Option` that is all zeros while it is empty (see
-/// [`Place`](super::Place)), which one with a niche is not.
+/// [`ContentIndex`](super::ContentIndex)), which one with a niche is not.
 #[derive(Debug)]
 #[repr(u8)]
 pub(super) enum Lane<T> {
@@ -310,7 +310,7 @@ pub(super) struct Surroundings<'a> {
     pub(super) quarantine: &'a mut Quarantine,
     pub(super) limits: &'a Limits,
     pub(super) routes: Routes<'a>,
-    pub(super) bus: Bus,
+    pub(super) bus: Target,
     pub(super) polling: &'a mut Polling,
 }
 

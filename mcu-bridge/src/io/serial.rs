@@ -12,13 +12,13 @@ use jointbus_protocol::time::Instant;
 
 /// Received bytes that wait for the main loop, where frames come one behind the other: a whole frame, 2.8 ms at the
 /// fastest rate.
-pub const INCOMING: usize = 256;
+pub const RX_CAPACITY: usize = 256;
 
 /// The same where a reply comes at a time, which the main loop takes in while it comes.
-pub const INCOMING_REPLY: usize = 128;
+pub const RX_CAPACITY_RESPONSES: usize = 128;
 
 /// Bytes that wait to be sent: a whole frame, so that an RS485 driver is never released inside one.
-pub const OUTGOING: usize = rtu::FRAME_MAX;
+pub const TX_CAPACITY: usize = rtu::FRAME_MAX;
 
 /// Bytes handed to the engine at a time.
 const CHUNK: usize = 64;
@@ -84,7 +84,7 @@ impl<const N: usize> Ring<N> {
 
 /// Rings of a port, with room for `IN` received bytes.
 #[derive(Debug)]
-pub struct Queues<const IN: usize = INCOMING> {
+pub struct UartBuffers<const IN: usize = RX_CAPACITY> {
     incoming: Ring<IN>,
     shared: Shared,
 }
@@ -92,7 +92,7 @@ pub struct Queues<const IN: usize = INCOMING> {
 /// What interrupt and main loop share beside the received bytes.
 #[derive(Debug)]
 struct Shared {
-    outgoing: Ring<OUTGOING>,
+    outgoing: Ring<TX_CAPACITY>,
     /// When the last byte ended.
     last_byte: AtomicU32,
     /// How many bytes had come when the last transmission ended.
@@ -111,7 +111,7 @@ struct Shared {
     errors: AtomicU32,
 }
 
-impl<const IN: usize> Queues<IN> {
+impl<const IN: usize> UartBuffers<IN> {
     /// Empty rings; `IN` is a power of two.
     #[must_use]
     pub const fn new() -> Self {
@@ -130,16 +130,16 @@ impl<const IN: usize> Queues<IN> {
     }
 
     /// The interrupt's end and the main loop's end.
-    pub fn split(&mut self) -> (InterruptSide<'_, IN>, MainSide<'_>) {
+    pub fn split(&mut self) -> (IsrHalf<'_, IN>, MainHalf<'_>) {
         let Self { incoming, shared } = self;
         (
-            InterruptSide { incoming, transmitter: TransmitterSide { ends: &incoming.ends, shared } },
-            MainSide { bytes: &incoming.bytes, ends: &incoming.ends, shared },
+            IsrHalf { incoming, transmitter: TransmitterSide { ends: &incoming.ends, shared } },
+            MainHalf { bytes: &incoming.bytes, ends: &incoming.ends, shared },
         )
     }
 }
 
-impl<const IN: usize> Default for Queues<IN> {
+impl<const IN: usize> Default for UartBuffers<IN> {
     fn default() -> Self {
         Self::new()
     }
@@ -147,12 +147,12 @@ impl<const IN: usize> Default for Queues<IN> {
 
 /// The interrupt's end of a port's rings.
 #[derive(Debug)]
-pub struct InterruptSide<'a, const IN: usize = INCOMING> {
+pub struct IsrHalf<'a, const IN: usize = RX_CAPACITY> {
     incoming: &'a Ring<IN>,
     transmitter: TransmitterSide<'a>,
 }
 
-impl<const IN: usize> InterruptSide<'_, IN> {
+impl<const IN: usize> IsrHalf<'_, IN> {
     /// A byte ended at `micros`, the low half of the microseconds since boot.
     #[inline(always)]
     pub fn received(&mut self, byte: u8, micros: u32) {
@@ -196,18 +196,18 @@ impl TransmitterSide<'_> {
     /// A byte came whose parity or stop bit was wrong. Its complement, which is returned, takes its place: a frame around
     /// it keeps its length, and as all that is wrong lies within eight bits, its checksum is certain not to fit.
     #[must_use]
-    pub fn broken(&mut self, byte: u8) -> u8 {
-        self.noisy();
+    pub fn framing_error(&mut self, byte: u8) -> u8 {
+        self.noise_error();
         !byte
     }
 
     /// There was noise on the line, or something else wrong with a byte.
-    pub fn noisy(&mut self) {
+    pub fn noise_error(&mut self) {
         self.shared.errors.fetch_add(1, Ordering::Relaxed);
     }
 
     /// The port lost bytes.
-    pub fn lost(&mut self) {
+    pub fn overrun(&mut self) {
         self.shared.overrun.store(true, Ordering::Relaxed);
     }
 
@@ -245,13 +245,13 @@ impl TransmitterSide<'_> {
 
 /// The main loop's end of a port's rings.
 #[derive(Debug)]
-pub struct MainSide<'a> {
+pub struct MainHalf<'a> {
     bytes: &'a [AtomicU8],
     ends: &'a Ends,
     shared: &'a Shared,
 }
 
-impl MainSide<'_> {
+impl MainHalf<'_> {
     /// Whether the interrupt has put nothing down.
     #[must_use]
     pub fn is_idle(&self) -> bool {
@@ -270,13 +270,13 @@ impl MainSide<'_> {
     }
 
     /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
-    pub fn advances(&mut self) -> bool {
+    pub fn made_progress(&mut self) -> bool {
         self.is_quiet() || self.shared.advanced.swap(false, Ordering::Relaxed)
     }
 
     /// Carries what came in to the engine.
     #[inline]
-    pub fn carry_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
+    pub fn drain_rx(&mut self, engine: &mut Engine, port: Port, now: Instant) {
         if !(self.is_idle() && self.is_well()) {
             self.carry_all_in(engine, port, now);
         }
@@ -297,7 +297,7 @@ impl MainSide<'_> {
         if ended && put.wrapping_sub(ended_at) <= u32::MAX / 2 {
             self.shared.ended.store(false, Ordering::Relaxed);
             self.carry_until(ended_at, engine, port, now);
-            engine.transmitted(port, now);
+            engine.transmit_complete(port, now);
         }
         self.carry_until(put, engine, port, now);
     }
@@ -317,13 +317,13 @@ impl MainSide<'_> {
                 length = length.wrapping_add(1);
             }
             self.ends.taken.store(taken, Ordering::Release);
-            let at = recent(now, self.shared.last_byte.load(Ordering::Relaxed));
+            let at = extend_timestamp(now, self.shared.last_byte.load(Ordering::Relaxed));
             engine.receive(port, chunk.get(..length).unwrap_or(&chunk), at);
         }
     }
 
     /// Carries what the engine has to send to the interrupt; tells whether there was any.
-    pub fn carry_out(&mut self, engine: &mut Engine, port: Port) -> bool {
+    pub fn fill_tx(&mut self, engine: &mut Engine, port: Port) -> bool {
         let output = engine.output(port);
         if output.is_empty() {
             return false;
@@ -335,7 +335,7 @@ impl MainSide<'_> {
             }
             taken = taken.saturating_add(1);
         }
-        engine.consume(port, taken);
+        engine.advance(port, taken);
         if taken > 0 {
             self.shared.sending.store(true, Ordering::Release);
         }
@@ -345,7 +345,7 @@ impl MainSide<'_> {
 
 /// The moment not after `now`, and not as much as 71 minutes before, whose low half is `micros`.
 #[must_use]
-pub fn recent(now: Instant, micros: u32) -> Instant {
+pub fn extend_timestamp(now: Instant, micros: u32) -> Instant {
     let [_, _, _, _, low @ ..] = now.as_micros().to_be_bytes();
     let age = u32::from_be_bytes(low).wrapping_sub(micros);
     // a byte that ended since `now` was read would look very old
@@ -360,7 +360,7 @@ mod tests {
 
     #[test]
     fn stamps_are_recent() {
-        let at = |now: u64, micros: u32| recent(Instant::from_micros(now), micros).as_micros();
+        let at = |now: u64, micros: u32| extend_timestamp(Instant::from_micros(now), micros).as_micros();
         assert_eq!(at(1000, 990), 990);
         assert_eq!(at(1000, 1005), 1000, "not after now");
         assert_eq!(at(0x1_0000_0005, 0xFFFF_FFFE), 0xFFFF_FFFE);
@@ -372,7 +372,7 @@ mod tests {
         let now = Instant::from_micros(5);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(identity, now);
-        let mut queues = Queues::<INCOMING>::new();
+        let mut queues = UartBuffers::<RX_CAPACITY>::new();
         let (mut interrupt, mut main) = queues.split();
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
             jointbus_protocol::modbus::AddressRange::new(0, 120),
@@ -382,9 +382,9 @@ mod tests {
             interrupt.received(*byte, 5);
         }
         assert!(!main.is_idle());
-        main.carry_in(&mut engine, Port::Host, now);
+        main.drain_rx(&mut engine, Port::Host, now);
         assert!(main.is_idle());
-        assert!(main.carry_out(&mut engine, Port::Host));
+        assert!(main.fill_tx(&mut engine, Port::Host));
         let sent: std::vec::Vec<u8> = core::iter::from_fn(|| interrupt.transmitter().next_byte()).collect();
         assert_eq!(sent.len(), 245);
         assert!(rtu::Frame::decode(&sent).is_ok());
@@ -396,24 +396,24 @@ mod tests {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(identity, now);
-        let mut queues = Queues::<INCOMING>::new();
+        let mut queues = UartBuffers::<RX_CAPACITY>::new();
         let (mut interrupt, mut main) = queues.split();
-        assert!(main.advances(), "there is nothing to send");
+        assert!(main.made_progress(), "there is nothing to send");
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
             jointbus_protocol::modbus::AddressRange::new(0, 1),
         );
         engine.receive(Port::Host, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
-        assert!(main.carry_out(&mut engine, Port::Host));
-        assert!(!main.advances());
+        assert!(main.fill_tx(&mut engine, Port::Host));
+        assert!(!main.made_progress());
         assert!(interrupt.transmitter().next_byte().is_some());
-        assert!(main.advances());
-        assert!(!main.advances());
+        assert!(main.made_progress());
+        assert!(!main.made_progress());
         while interrupt.transmitter().next_byte().is_some() {}
-        assert!(main.advances());
-        assert!(!main.advances(), "the last byte does not leave");
+        assert!(main.made_progress());
+        assert!(!main.made_progress(), "the last byte does not leave");
         interrupt.transmitter().transmitted();
-        assert!(main.advances());
-        assert!(main.advances(), "there is nothing to send");
+        assert!(main.made_progress());
+        assert!(main.made_progress(), "there is nothing to send");
     }
 
     #[test]
@@ -427,27 +427,27 @@ mod tests {
         for broken in 0..frame.len() {
             let mut now = Instant::from_micros(0);
             let mut engine = Engine::new(identity, now);
-            let mut queues = Queues::<INCOMING>::new();
+            let mut queues = UartBuffers::<RX_CAPACITY>::new();
             let (mut interrupt, mut main) = queues.split();
             for (index, byte) in frame.iter().enumerate() {
                 // what is wrong may be the parity or stop bit alone
-                let byte = if index == broken { interrupt.transmitter().broken(*byte) } else { *byte };
+                let byte = if index == broken { interrupt.transmitter().framing_error(*byte) } else { *byte };
                 interrupt.received(byte, 0);
             }
-            main.carry_in(&mut engine, Port::Host, now);
-            assert!(!main.carry_out(&mut engine, Port::Host), "taken with byte {broken} broken");
+            main.drain_rx(&mut engine, Port::Host, now);
+            assert!(!main.fill_tx(&mut engine, Port::Host), "taken with byte {broken} broken");
             assert!(engine.counters(Port::Host).checksum_errors >= 1);
             now = Instant::from_micros(1_000_000);
             engine.poll(now);
             frame.iter().for_each(|byte| interrupt.received(*byte, 1_000_000));
-            main.carry_in(&mut engine, Port::Host, now);
-            assert!(main.carry_out(&mut engine, Port::Host), "the next one is");
+            main.drain_rx(&mut engine, Port::Host, now);
+            assert!(main.fill_tx(&mut engine, Port::Host), "the next one is");
         }
     }
 
     #[test]
     fn the_end_of_a_transmission_keeps_its_place_among_the_bytes() {
-        let mut queues = Queues::<INCOMING_REPLY>::new();
+        let mut queues = UartBuffers::<RX_CAPACITY_RESPONSES>::new();
         let (mut interrupt, main) = queues.split();
         assert!(main.is_idle());
         (0..3).for_each(|_| interrupt.received(0x55, 0));
@@ -472,12 +472,12 @@ mod tests {
         let now = Instant::from_micros(0);
         let identity = Identity { version: [0, 1, 0], reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(identity, now);
-        let mut queues = Queues::<INCOMING>::new();
+        let mut queues = UartBuffers::<RX_CAPACITY>::new();
         let (mut interrupt, mut main) = queues.split();
-        for _ in 0..INCOMING + 1 {
+        for _ in 0..RX_CAPACITY + 1 {
             interrupt.received(0x55, 0);
         }
-        main.carry_in(&mut engine, Port::Host, now);
+        main.drain_rx(&mut engine, Port::Host, now);
         assert_eq!(engine.counters(Port::Host).overruns, 1);
     }
 }

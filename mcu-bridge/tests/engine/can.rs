@@ -24,7 +24,7 @@ fn after_bus_off_the_controller_returns_later_each_time() {
         let off = world.now;
         world.engine.set_bus_off(true, off);
         assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], Duration::ZERO), [4, 2, 0, 4], "bus-off now");
-        let restart = world.engine.deadline().unwrap();
+        let restart = world.engine.poll_at().unwrap();
         assert!(!world.engine.take_can_restart(off));
         world.now = restart;
         assert!(world.engine.take_can_restart(restart) && !world.engine.take_can_restart(restart), "once");

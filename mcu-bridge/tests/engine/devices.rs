@@ -16,7 +16,7 @@ fn a_read_reply_with_function_code_0x10_is_taken_and_counted() {
     let mut world = World::new();
     world.quirk = true;
     assert_eq!(world.nst(1, &READ, SOON), axes(1));
-    assert_eq!(world.engine.quirks(), 1);
+    assert_eq!(world.engine.legacy_codes(), 1);
 }
 
 #[test]
@@ -81,9 +81,9 @@ fn noise_in_place_of_an_open_reply_wakes_the_bridge_once() {
     assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], SOON), []);
     assert_eq!(world.sent.len(), 1);
     world.engine.receive(Port::Rs485B, &[0xDE; 13], world.now);
-    let pause = world.engine.deadline().expect("silence ends it");
+    let pause = world.engine.poll_at().expect("silence ends it");
     world.engine.poll(pause);
-    let next = world.engine.deadline().expect("the timeout");
+    let next = world.engine.poll_at().expect("the timeout");
     assert!(next > pause, "due at {pause:?}, and at {next:?} again");
     assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 1);
     assert_eq!(world.exchange(&[], LATER), modbus(32, &[0xC1, 0x0B]));

@@ -1,4 +1,4 @@
-//! An engine with devices on its buses, in virtual time: every call advances to the engine's next deadline.
+//! An engine with devices on its buses, in virtual time: every call made_progress to the engine's next deadline.
 
 use jointbus_mcu_bridge::engine::config::Port;
 use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
@@ -73,7 +73,7 @@ impl World {
         let end = self.now.saturating_add(span);
         loop {
             self.settle();
-            match self.engine.deadline().filter(|deadline| *deadline <= end) {
+            match self.engine.poll_at().filter(|deadline| *deadline <= end) {
                 Some(deadline) => {
                     // buses take turns here, so one may hold another up for the length of a frame or two
                     assert!(
@@ -107,7 +107,7 @@ impl World {
 
     fn host_output(&mut self) -> bool {
         let pending = self.engine.output(Port::Host).to_vec();
-        self.engine.consume(Port::Host, pending.len());
+        self.engine.advance(Port::Host, pending.len());
         self.host.extend_from_slice(&pending);
         !pending.is_empty()
     }
@@ -118,7 +118,7 @@ impl World {
             // as much as a driver's queue happens to take
             let taken = pending.len().min(7 + frame.len() % 5);
             frame.extend_from_slice(&pending[..taken]);
-            self.engine.consume(port, taken);
+            self.engine.advance(port, taken);
         }
         if frame.is_empty() {
             return false;
@@ -128,7 +128,7 @@ impl World {
             let echo = if other.is_empty() { &frame } else { other };
             self.engine.receive(port, echo, self.now);
         }
-        self.engine.transmitted(port, self.now);
+        self.engine.transmit_complete(port, self.now);
         self.sent.push((self.now, port, frame.clone()));
         let mut out = [0; 600];
         let reply = match port {

@@ -80,7 +80,7 @@ impl Master {
         debug_assert_eq!(register::DATA.first, 0x0200);
         let unit = self.network.routes.iter().find_map(|row| {
             let mine = row.is_used() && port_of(row) == port.index();
-            let unit = row.first_unit.wrapping_add(remote.wrapping_sub(row.first_remote));
+            let unit = row.first_unit.wrapping_add(remote.wrapping_sub(row.first_address));
             (mine && row.serves(unit)).then_some(unit)
         });
         let asked = unit.and_then(|unit| {

@@ -7,7 +7,7 @@ use crate::sim::run::{Plan, Run};
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
 use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use std::ops::Range;
 
 /// Devices on a bus, of which one dies.
@@ -36,7 +36,7 @@ fn one(seed: u64) -> Found {
     };
     let victim = random.index(DEVICES);
     let probe = Nanos::from(settings.limits.probe_period_ms) * MILLIS;
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut run = Run::new(Plan { settings, ..Plan::of_seed(seed, 0, Some(&[])) }, &mut queues);
     run.questions.longest = 20;
     let mut course = Course { run, port, units, cycle, answers: [0; DEVICES], asked: 0 };

@@ -9,7 +9,7 @@ use crate::sim::run::{Manner, Plan, Run};
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
 use jointbus_mcu_bridge::engine::Slot;
-use jointbus_mcu_bridge::io::serial::Queues;
+use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
 use jointbus_protocol::nst::SAMPLE_LENGTH;
@@ -42,7 +42,7 @@ pub enum Traffic {
 /// its reply's last frame.
 #[must_use]
 pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
-    let mut queues = [Queues::new(), Queues::new(), Queues::new()];
+    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut course = Course::new(plan(seed, traffic), &mut queues);
     let mut found = Found::default();
     if !course.begin() {
@@ -124,7 +124,7 @@ struct Course<'q> {
 }
 
 impl<'q> Course<'q> {
-    fn new(plan: Plan, queues: &'q mut [Queues; 3]) -> Self {
+    fn new(plan: Plan, queues: &'q mut [UartBuffers; 3]) -> Self {
         let mut run = Run::new(plan, queues);
         run.master.polls = true;
         // what takes one transfer, and less than half a period

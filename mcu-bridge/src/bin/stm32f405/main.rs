@@ -35,10 +35,14 @@ mod app {
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
     use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{Command, Engine, Health, Identity, Place, ResetCause, STORED_LENGTH};
-    use jointbus_mcu_bridge::io::alive::{Marks, Part};
-    use jointbus_mcu_bridge::io::serial::{INCOMING, INCOMING_REPLY, MainSide, Queues, recent};
+    use jointbus_mcu_bridge::engine::{
+        Command, Engine, Health, Identity, ResetCause, STORED_LENGTH, Storage,
+    };
+    use jointbus_mcu_bridge::io::serial::{
+        MainHalf, RX_CAPACITY, RX_CAPACITY_RESPONSES, UartBuffers, extend_timestamp,
+    };
     use jointbus_mcu_bridge::io::store::{Store, Unreadable};
+    use jointbus_mcu_bridge::io::watchdog::{Heartbeats, Task};
     use jointbus_protocol::time::Instant;
     use stm32f4xx_hal::pac::{self, CAN1, Interrupt, USART1, USART2, USART3};
     use stm32f4xx_hal::rcc::{Enable, Reset};
@@ -87,8 +91,8 @@ mod app {
     /// A serial port as the main loop has it.
     pub struct Line {
         port: Port,
-        part: Part,
-        queues: MainSide<'static>,
+        part: Task,
+        queues: MainHalf<'static>,
         interrupt: Interrupt,
         usart: Registers,
         bus_hz: u32,
@@ -105,9 +109,9 @@ mod app {
         inputs: Inputs,
         outputs: Outputs,
         lines: [Line; 3],
-        uart1: Uart<INCOMING>,
-        uart2: Uart<INCOMING_REPLY>,
-        uart3: Uart<INCOMING_REPLY>,
+        uart1: Uart<RX_CAPACITY>,
+        uart2: Uart<RX_CAPACITY_RESPONSES>,
+        uart3: Uart<RX_CAPACITY_RESPONSES>,
         /// `None` where the controller does not answer.
         can: Option<u32>,
         store: Option<Store<Sectors>>,
@@ -116,9 +120,9 @@ mod app {
     }
 
     #[init(local = [
-        place: Place = Place::new(),
-        host: Queues<INCOMING> = Queues::new(),
-        buses: [Queues<INCOMING_REPLY>; 2] = [Queues::new(), Queues::new()],
+        place: Storage = Storage::new(),
+        host: UartBuffers<RX_CAPACITY> = UartBuffers::new(),
+        buses: [UartBuffers<RX_CAPACITY_RESPONSES>; 2] = [UartBuffers::new(), UartBuffers::new()],
         can_queue: Queue<Received, CAN_INCOMING> = Queue::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -161,9 +165,9 @@ mod app {
         let uart2 = Uart::new(usart2, Some(&pins::DRIVER_A), in2);
         let uart3 = Uart::new(usart3, Some(&pins::DRIVER_B), in3);
         let lines = [
-            line(Port::Host, Part::Host, main1, Interrupt::USART1, usart1, pclk2),
-            line(Port::Rs485A, Part::Rs485A, main2, Interrupt::USART2, usart2, pclk1),
-            line(Port::Rs485B, Part::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
+            line(Port::Host, Task::Host, main1, Interrupt::USART1, usart1, pclk2),
+            line(Port::Rs485A, Task::Rs485A, main2, Interrupt::USART2, usart2, pclk1),
+            line(Port::Rs485B, Task::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
         ];
 
         CAN1::enable(rcc);
@@ -204,14 +208,14 @@ mod app {
     fn idle(cx: idle::Context) -> ! {
         let local = cx.local;
         // what has advanced since the watchdog was fed
-        let mut marks = Marks::new();
+        let mut marks = Heartbeats::new();
         loop {
             let now = local.clock.now();
             let analog = local.inputs.analog(now.as_micros() as u32);
             local.engine.set_inputs(local.inputs.digital(), analog);
-            marks.set(Part::Inputs);
+            marks.set(Task::Inputs);
             for line in local.lines.iter_mut() {
-                line.queues.carry_in(local.engine, line.port, now);
+                line.queues.drain_rx(local.engine, line.port, now);
             }
             if local.frames.ready() || CAN_REPORTS.are_there() {
                 carry_can_in(local.engine, local.frames, now);
@@ -219,17 +223,17 @@ mod app {
             poll(local.engine, now);
 
             for line in local.lines.iter_mut() {
-                if line.queues.carry_out(local.engine, line.port) {
+                if line.queues.fill_tx(local.engine, line.port) {
                     rtic::pend(line.interrupt);
                 }
-                if line.queues.advances() {
+                if line.queues.made_progress() {
                     marks.set(line.part);
                 }
             }
             if local.can.is_some() {
                 carry_can_out(local.engine, now);
             }
-            marks.set(Part::Can);
+            marks.set(Task::Can);
             if local.engine.take_output_change() {
                 local.outputs.apply(&local.engine.analog_outputs().channels);
             }
@@ -254,9 +258,9 @@ mod app {
             // a tick that comes between the two is one of many
             if TICKED.load(Ordering::Relaxed) {
                 TICKED.store(false, Ordering::Relaxed);
-                marks.set(Part::Tick);
+                marks.set(Task::Tick);
             }
-            marks.set(Part::Loop);
+            marks.set(Task::Loop);
             if marks.take_all() {
                 local.watchdog.feed();
             }
@@ -272,7 +276,11 @@ mod app {
     // these are never inlined: what they need of the stack is to be in use only while they run
 
     #[inline(never)]
-    fn make_engine(place: &'static mut Place, reset_cause: ResetCause, now: Instant) -> &'static mut Engine {
+    fn make_engine(
+        place: &'static mut Storage,
+        reset_cause: ResetCause,
+        now: Instant,
+    ) -> &'static mut Engine {
         let identity = Identity { version: VERSION, reset_cause };
         place.start(identity, now)
     }
@@ -335,7 +343,7 @@ mod app {
             // once more: a reply counts only after the request that it answers, and both may have come just now
             report_sent(engine, now);
             match received.frame() {
-                Some(frame) => engine.receive_frame(&frame, recent(now, received.micros)),
+                Some(frame) => engine.receive_frame(&frame, extend_timestamp(now, received.micros)),
                 None => engine.receive_error(Port::Can),
             }
         }

@@ -4,7 +4,7 @@ use crate::pins::OutputPin;
 use crate::time;
 use core::ops::Deref;
 use jointbus_mcu_bridge::engine::config::{Parity, PortConfig};
-use jointbus_mcu_bridge::io::serial::{InterruptSide, TransmitterSide};
+use jointbus_mcu_bridge::io::serial::{IsrHalf, TransmitterSide};
 use stm32f4xx_hal::pac::usart1::RegisterBlock;
 
 /// The driver-enable pin of an RS485 port; a port without one is full duplex.
@@ -71,13 +71,13 @@ pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
 /// A port with room for `IN` received bytes, owned by its interrupt.
 pub struct Uart<const IN: usize> {
     usart: Registers,
-    queues: InterruptSide<'static, IN>,
+    queues: IsrHalf<'static, IN>,
     driver_enable: DriverEnable,
 }
 
 impl<const IN: usize> Uart<IN> {
     /// Takes a USART whose pins are set; [`configure`] starts it.
-    pub fn new(usart: Registers, driver_enable: DriverEnable, queues: InterruptSide<'static, IN>) -> Self {
+    pub fn new(usart: Registers, driver_enable: DriverEnable, queues: IsrHalf<'static, IN>) -> Self {
         drive(driver_enable, false);
         Self { usart, queues, driver_enable }
     }
@@ -112,16 +112,16 @@ impl<const IN: usize> Uart<IN> {
 fn on_error(mut queues: TransmitterSide<'_>, status: u16, byte: u8) -> Option<u8> {
     if status & sr::OVERRUN != 0 {
         // the byte in the register is well, the one behind it is lost
-        queues.lost();
+        queues.overrun();
     }
     if status & sr::RECEIVED == 0 {
         return None;
     }
     if status & (sr::PARITY | sr::FRAMING) != 0 {
-        return Some(queues.broken(byte));
+        return Some(queues.framing_error(byte));
     }
     if status & sr::NOISE != 0 {
-        queues.noisy();
+        queues.noise_error();
     }
     Some(byte)
 }

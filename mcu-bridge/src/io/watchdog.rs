@@ -2,7 +2,7 @@
 
 /// A part of the firmware that can stand still by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum Task {
     /// The tick's interrupt: time passes.
     Tick,
     /// The main loop has carried everything in, asked the engine, and carried everything out.
@@ -19,7 +19,7 @@ pub enum Part {
     Inputs,
 }
 
-impl Part {
+impl Task {
     /// All of them.
     pub const ALL: [Self; 7] =
         [Self::Tick, Self::Loop, Self::Host, Self::Rs485A, Self::Rs485B, Self::Can, Self::Inputs];
@@ -31,9 +31,9 @@ impl Part {
 
 /// A mark for every part.
 #[derive(Debug, Default)]
-pub struct Marks(u8);
+pub struct Heartbeats(u8);
 
-impl Marks {
+impl Heartbeats {
     /// No part has advanced yet.
     #[must_use]
     pub const fn new() -> Self {
@@ -41,13 +41,13 @@ impl Marks {
     }
 
     /// A part has advanced.
-    pub const fn set(&mut self, part: Part) {
+    pub const fn set(&mut self, part: Task) {
         self.0 |= part.bit();
     }
 
     /// Whether every part has advanced since this was last true.
     pub fn take_all(&mut self) -> bool {
-        let all = Part::ALL.iter().fold(0, |bits, part| bits | part.bit());
+        let all = Task::ALL.iter().fold(0, |bits, part| bits | part.bit());
         let advanced = self.0 == all;
         if advanced {
             self.0 = 0;
@@ -62,10 +62,10 @@ mod tests {
 
     #[test]
     fn only_when_every_part_has_advanced_since_the_last_time() {
-        for missing in Part::ALL {
-            let mut marks = Marks::new();
+        for missing in Task::ALL {
+            let mut marks = Heartbeats::new();
             for _ in 0..2 {
-                Part::ALL.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
+                Task::ALL.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
                 assert!(!marks.take_all(), "{missing:?} stands still");
             }
             marks.set(missing);
