@@ -2,12 +2,12 @@
 
 use super::delay::Delay;
 use super::fault::{Fault, Place};
+use super::framing::with_crc;
 use super::master::{Master, is_nst};
 use super::moment::{MICROS, MILLIS, Moment, Nanos};
 use super::question::{Question, Questions};
 use super::random::Random;
 use super::settings::Settings;
-use super::spelling::with_crc;
 use super::station::{flip_bits, reseal};
 use super::tally::Tally;
 use super::world::{Notice, World};

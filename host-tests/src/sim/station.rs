@@ -4,7 +4,7 @@ use super::delay::Delay;
 use super::fault::Fault;
 use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
-use super::spelling;
+use super::framing;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
 };
@@ -113,7 +113,7 @@ impl SerialStation {
             (Some(byte), None) => self.line().receive(&[byte], now.instant()),
             (Some(byte), Some(decoder)) => {
                 let frame = match decoder.feed(&mut &[byte][..]) {
-                    Some(ascii::Event::Frame(frame)) => spelling::sealed(&frame),
+                    Some(ascii::Event::Frame(frame)) => framing::sealed(&frame),
                     _ => return Vec::new(),
                 };
                 self.line().receive(&frame, now.instant())
@@ -149,7 +149,7 @@ impl SerialStation {
     /// Has a reply sent at that moment, or behind those before it; not at all if that is later than `latest`.
     pub(super) fn queue(&mut self, at: Moment, latest: Moment, reply: Vec<u8>) -> Option<Moment> {
         let at = self.replies.back().map_or(at, |(before, _)| at.max(*before));
-        let reply = if self.ascii.is_some() { spelling::in_characters(&reply) } else { reply };
+        let reply = if self.ascii.is_some() { framing::in_characters(&reply) } else { reply };
         (at <= latest).then(|| {
             self.replies.push_back((at, reply));
             at

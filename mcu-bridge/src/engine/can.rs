@@ -1,7 +1,7 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
-use super::backlog::{Backlog, Content, QueueFull};
 use super::counters::count;
+use super::queue::{BusQueue, Content, QueueFull};
 use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
 use heapless::Vec;
 use jointbus_protocol::can::Frame;
@@ -72,7 +72,7 @@ struct Part {
 /// The CAN bus.
 #[derive(Debug)]
 pub(super) struct CanBus {
-    backlog: Backlog,
+    queue: BusQueue,
     flight: Lane<Flight>,
     /// The transfer under way.
     body: Vec<u8, { can::TRANSFER_MAX }>,
@@ -89,7 +89,7 @@ impl CanBus {
     /// The bus before its start, in zeros.
     pub(super) const fn new() -> Self {
         Self {
-            backlog: Backlog::new(),
+            queue: BusQueue::new(),
             flight: Lane::Free,
             body: Vec::new(),
             reassembler: Reassembler::new(0, Duration::ZERO),
@@ -112,9 +112,9 @@ impl CanBus {
     }
 
     /// Whether the controller is off the bus now.
-    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, cx: &mut Surroundings<'_>) {
         if is_off && !self.back_off.is_off {
-            count(&mut around.counters.bus_off);
+            count(&mut cx.counters.bus_off);
             self.back_off.restart = Some(now.saturating_add(self.back_off.next));
             self.back_off.next = self.back_off.next.saturating_mul(2).min(LONGEST);
         }
@@ -136,16 +136,16 @@ impl CanBus {
         request: &Request,
         write: impl FnOnce(&mut Content),
         now: Instant,
-        around: &mut Surroundings<'_>,
+        cx: &mut Surroundings<'_>,
     ) -> Result<(), QueueFull> {
-        let result = self.backlog.push(request, write);
-        self.take_next(now, around);
+        let result = self.queue.push(request, write);
+        self.take_next(now, cx);
         result
     }
 
     /// Whether a request would have to wait for a reply that its unit owes.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
-        self.backlog.owed.holds(request, now)
+        self.queue.owed.holds(request, now)
     }
 
     /// The next frame for the controller; it counts as handed over.
@@ -160,11 +160,11 @@ impl CanBus {
     }
 
     /// A frame was acknowledged.
-    pub(super) fn frame_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        count(&mut around.counters.sent);
+    pub(super) fn frame_sent(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+        count(&mut cx.counters.sent);
         self.back_off.next = SHORTEST;
         self.outstanding = self.outstanding.saturating_sub(1);
-        self.check_sent(now, around);
+        self.check_sent(now, cx);
     }
 
     /// Whether the frames that the controller still has are to be aborted.
@@ -173,25 +173,25 @@ impl CanBus {
     }
 
     /// The controller has no frame any more.
-    pub(super) fn aborted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn aborted(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         self.outstanding = 0;
         if self.flight.as_ref().is_some_and(Flight::is_aborting) {
-            self.not_sent(around);
+            self.not_sent(cx);
         }
-        self.take_next(now, around);
+        self.take_next(now, cx);
     }
 
     /// Takes a frame that ended at `now`.
-    pub(super) fn receive(&mut self, frame: &Frame, now: Instant, around: &mut Surroundings<'_>) {
-        count(&mut around.counters.received);
+    pub(super) fn receive(&mut self, frame: &Frame, now: Instant, cx: &mut Surroundings<'_>) {
+        count(&mut cx.counters.received);
         let PushResult { outcome, error } = self.reassembler.push(frame, now);
         match error {
             None => {}
             Some(ReassemblyError::NotNst | ReassemblyError::OtherDestination) => {
-                count(&mut around.counters.foreign_or_late);
+                count(&mut cx.counters.foreign_or_late);
             }
-            Some(ReassemblyError::NoContext) => count(&mut around.counters.overruns),
-            Some(_) => count(&mut around.counters.dropped_bursts),
+            Some(ReassemblyError::NoContext) => count(&mut cx.counters.overruns),
+            Some(_) => count(&mut cx.counters.dropped_bursts),
         }
         let Some(Outcome::Complete { source, destination, body }) = outcome else { return };
         let Some((flight, expected, quirk, sent)) = self.flight.as_mut().and_then(|flight| {
@@ -204,15 +204,15 @@ impl CanBus {
             let Phase::Waiting { sent, .. } = flight.phase else { return None };
             fits.then_some((flight, expected, quirk, sent))
         }) else {
-            let late = self.backlog.owed.iter().position(|owed| match owed {
+            let late = self.queue.owed.iter().position(|owed| match owed {
                 Expected::Nst(owed) => {
                     source == owed.address() && (owed.accepts_body(body) || owed.accepts_legacy_code(body))
                 }
                 Expected::Modbus(_) => false,
             });
-            count(&mut around.counters.foreign_or_late);
+            count(&mut cx.counters.foreign_or_late);
             if let Some(index) = late {
-                self.backlog.settle(index, body, FRAME_PAUSE, now, around);
+                self.queue.settle(index, body, FRAME_PAUSE, now, cx);
             }
             return;
         };
@@ -220,17 +220,17 @@ impl CanBus {
             count(&mut self.legacy_codes);
         }
         let data = body.get(nst::RESPONSE_HEADER..).unwrap_or(&[]);
-        if let Some(content) = self.backlog.content_mut(flight.transaction.index) {
+        if let Some(content) = self.queue.content_mut(flight.transaction.index) {
             let _ = content.extend_from_slice(data);
         }
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
-        if transaction.unanswered > 0 || !self.backlog.owed.is_empty() {
-            self.backlog.take(source, body, now);
+        if transaction.unanswered > 0 || !self.queue.owed.is_empty() {
+            self.queue.take(source, body, now);
         }
         let late = core::mem::take(&mut transaction.unanswered);
-        self.backlog.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
-        let content = self.backlog.content(transaction.index);
+        self.queue.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
+        let content = self.queue.content(transaction.index);
         match following_part(content, &transaction.request, flight.moved, &mut self.body) {
             Some(part) => {
                 flight.part = part;
@@ -241,41 +241,41 @@ impl CanBus {
                 let function = transaction.request.function;
                 if transaction.request.is_read() {
                     // in front of the data stands the request's length, in front of that its register
-                    if let Some(content) = self.backlog.content_mut(transaction.index)
+                    if let Some(content) = self.queue.content_mut(transaction.index)
                         && let Some([code, ..]) = content.get_mut(REPLY_START..)
                     {
                         *code = function;
                     }
-                    let reply = self.backlog.content(transaction.index).get(REPLY_START..).unwrap_or(&[]);
-                    around.answer(&transaction.request, reply, sent, now);
+                    let reply = self.queue.content(transaction.index).get(REPLY_START..).unwrap_or(&[]);
+                    cx.answer(&transaction.request, reply, sent, now);
                 } else {
-                    around.answer(&transaction.request, &[function, flight.moved], sent, now);
+                    cx.answer(&transaction.request, &[function, flight.moved], sent, now);
                 }
-                self.finish(around);
+                self.finish(cx);
             }
         }
-        self.take_next(now, around);
+        self.take_next(now, cx);
     }
 
     /// Does what is due.
     #[inline(never)] // what it needs of the stack is not needed elsewhere
-    pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        self.backlog.owed.expire(now);
+    pub(super) fn poll(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+        self.queue.owed.expire(now);
         if let Some(flight) = self.flight.as_mut() {
             match flight.phase {
                 Phase::Sending { handed, limit } if now >= limit => {
                     flight.phase = Phase::Aborting { handed };
                     if self.outstanding == 0 {
-                        self.not_sent(around);
+                        self.not_sent(cx);
                     }
                 }
-                Phase::Waiting { deadline, .. } if now >= deadline => self.time_out(now, around),
-                Phase::Ready if now >= flight.transaction.request.expires => self.not_sent(around),
+                Phase::Waiting { deadline, .. } if now >= deadline => self.time_out(now, cx),
+                Phase::Ready if now >= flight.transaction.request.expires => self.not_sent(cx),
                 _ => {}
             }
         }
-        self.backlog.expire(now, around);
-        self.take_next(now, around);
+        self.queue.expire(now, cx);
+        self.take_next(now, cx);
     }
 
     /// When [`CanBus::poll`] has something to do next.
@@ -286,35 +286,35 @@ impl CanBus {
             Phase::Waiting { deadline, .. } => deadline,
             Phase::Aborting { .. } => Instant::MAX,
         });
-        flight.min(self.backlog.deadline()).min(self.back_off.restart.unwrap_or(Instant::MAX))
+        flight.min(self.queue.deadline()).min(self.back_off.restart.unwrap_or(Instant::MAX))
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.
-    pub(super) fn reset(&mut self, node: u8, around: &mut Surroundings<'_>) {
+    pub(super) fn reset(&mut self, node: u8, cx: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            around.fail(&flight.transaction.request);
-            flight.transaction.end(None, &mut self.backlog, around);
+            cx.fail(&flight.transaction.request);
+            flight.transaction.end(None, &mut self.queue, cx);
         }
-        self.backlog.clear(around);
+        self.queue.clear(cx);
         self.node = node;
         self.reassembler.set_node(node);
     }
 
-    fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    fn take_next(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         if self.flight.is_none()
-            && let Some(transaction) = self.backlog.next(now, around)
+            && let Some(transaction) = self.queue.next(now, cx)
         {
-            let content = self.backlog.content(transaction.index);
+            let content = self.queue.content(transaction.index);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
                     self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, moved: 0, part });
                 }
                 // what was judged at the door always has a first part
-                None => transaction.end(None, &mut self.backlog, around),
+                None => transaction.end(None, &mut self.queue, cx),
             }
         }
         let Some(flight) = self.flight.as_mut() else { return };
-        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.backlog.owed.is_full() {
+        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.queue.owed.is_full() {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
                 0 => flight.transaction.request.expires,
@@ -322,12 +322,12 @@ impl CanBus {
             };
             flight.phase = Phase::Sending { handed: 0, limit };
             if flight.transaction.unanswered > 0 {
-                count(&mut around.counters.retries);
+                count(&mut cx.counters.retries);
             }
         }
     }
 
-    fn check_sent(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    fn check_sent(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.as_mut() else { return };
         let (Phase::Sending { handed, .. } | Phase::Aborting { handed }) = flight.phase else { return };
         if self.outstanding > 0 {
@@ -336,58 +336,58 @@ impl CanBus {
         if handed < self.body.len().div_ceil(8) {
             // the last frame on the wire was acknowledged, the others were never handed over
             if flight.is_aborting() {
-                self.not_sent(around);
-                self.take_next(now, around);
+                self.not_sent(cx);
+                self.take_next(now, cx);
             }
             return;
         }
         if flight.transaction.request.expected.is_none() {
             flight.moved = flight.moved.saturating_add(flight.part.length);
-            let content = self.backlog.content(flight.transaction.index);
+            let content = self.queue.content(flight.transaction.index);
             match following_part(content, &flight.transaction.request, flight.moved, &mut self.body) {
                 Some(part) => {
                     flight.part = part;
                     flight.phase = Phase::Ready;
                 }
-                None => self.finish(around),
+                None => self.finish(cx),
             }
-            self.take_next(now, around);
+            self.take_next(now, cx);
             return;
         }
         // what its device had begun before is a second copy of a former reply
         self.reassembler.forget(flight.part.expected.address());
-        let on_wire = around.port.can_frames(flight.part.expected.body_length().div_ceil(8));
+        let on_wire = cx.port.can_frames(flight.part.expected.body_length().div_ceil(8));
         let deadline = now.saturating_add(flight.transaction.request.timeout.into()).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
     }
 
     /// The transfer was not sent in time; of the first part nothing has been carried out.
-    fn not_sent(&mut self, around: &mut Surroundings<'_>) {
+    fn not_sent(&mut self, cx: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.as_ref() else { return };
         match (flight.moved, flight.transaction.unanswered, flight.phase) {
-            (0, 0, _) => count(&mut around.counters.expired),
+            (0, 0, _) => count(&mut cx.counters.expired),
             // the attempt before has been counted, and this one was none
             (_, 1.., Phase::Ready) => {}
-            _ => count(&mut around.counters.timeouts),
+            _ => count(&mut cx.counters.timeouts),
         }
-        around.fail(&flight.transaction.request);
-        self.finish(around);
+        cx.fail(&flight.transaction.request);
+        self.finish(cx);
     }
 
-    fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    fn time_out(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         let Some(flight) = self.flight.as_mut() else { return };
-        if flight.transaction.time_out(now, around) {
+        if flight.transaction.time_out(now, cx) {
             flight.phase = Phase::Ready;
         } else {
-            self.finish(around);
+            self.finish(cx);
         }
     }
 
-    fn finish(&mut self, around: &mut Surroundings<'_>) {
+    fn finish(&mut self, cx: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
             let expected = Some(Expected::Nst(flight.part.expected));
-            flight.transaction.end(expected, &mut self.backlog, around);
+            flight.transaction.end(expected, &mut self.queue, cx);
         }
     }
 }

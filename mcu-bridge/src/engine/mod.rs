@@ -1,17 +1,17 @@
 //! The bridge itself: bytes, frames and the time go in; bytes, frames and the next deadline come out. It reads no
 //! clock and touches no port, and every call does bounded work.
 
-mod backlog;
 mod can;
 pub mod config;
 mod counters;
-mod door;
+mod dispatch;
 mod host;
 mod io;
-mod listener;
-mod own;
+mod management;
 mod polling;
 mod quarantine;
+mod queue;
+mod response;
 pub mod router;
 mod serial;
 mod settings;
@@ -26,7 +26,7 @@ use jointbus_protocol::can::Frame;
 use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nxi6201;
 use jointbus_protocol::time::{Duration, Instant};
-use own::{Diagnostics, Saving};
+use management::{Diagnostics, Saving};
 use polling::Polling;
 use quarantine::Quarantine;
 use router::{Router, Routes};
@@ -34,7 +34,7 @@ use serial::SerialBus;
 use transaction::{HostSide, ReplyTime, Surroundings};
 
 pub use counters::Counters;
-pub use own::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
+pub use management::{CONFIRM_WITHIN, Command, Health, Identity, MAP_VERSION, ResetCause};
 pub use polling::{SLOTS, Slot, SlotState};
 pub use settings::{STORED_LENGTH, Settings, SlotSettings};
 
@@ -202,8 +202,8 @@ impl Engine {
         self.core.idle_until = AT_ONCE;
         match port {
             Port::Host => self.receive_host(bytes, now),
-            Port::Rs485A => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
-            Port::Rs485B => self.core.on_serial(port, |bus, around| bus.receive(bytes, now, around)),
+            Port::Rs485A => self.core.on_serial(port, |bus, cx| bus.receive(bytes, now, cx)),
+            Port::Rs485B => self.core.on_serial(port, |bus, cx| bus.receive(bytes, now, cx)),
             Port::Can => {}
         }
     }
@@ -243,14 +243,14 @@ impl Engine {
     /// On an RS485 port the last stop bit of all that it took has left, and the driver is off.
     pub fn transmit_complete(&mut self, port: Port, now: Instant) {
         self.core.idle_until = AT_ONCE;
-        self.core.on_serial(port, |bus, around| bus.transmitted(now, around));
+        self.core.on_serial(port, |bus, cx| bus.transmitted(now, cx));
     }
 
     /// Takes a frame that the CAN port received and that ended at `now`.
     pub fn receive_frame(&mut self, frame: &Frame, now: Instant) {
         self.core.idle_until = AT_ONCE;
-        let (can, mut around) = self.core.can_parts();
-        can.receive(frame, now, &mut around);
+        let (can, mut cx) = self.core.can_parts();
+        can.receive(frame, now, &mut cx);
     }
 
     /// The next frame for the CAN port, which takes it.
@@ -261,8 +261,8 @@ impl Engine {
     /// A frame that the CAN port took was acknowledged on the bus.
     pub fn frame_sent(&mut self, now: Instant) {
         self.core.idle_until = AT_ONCE;
-        let (can, mut around) = self.core.can_parts();
-        can.frame_sent(now, &mut around);
+        let (can, mut cx) = self.core.can_parts();
+        can.frame_sent(now, &mut cx);
     }
 
     /// Whether the CAN port is to give up the frames that it has not sent; it answers with [`Engine::frames_aborted`].
@@ -274,8 +274,8 @@ impl Engine {
     /// The CAN port has no frame to send any more.
     pub fn frames_aborted(&mut self, now: Instant) {
         self.core.idle_until = AT_ONCE;
-        let (can, mut around) = self.core.can_parts();
-        can.aborted(now, &mut around);
+        let (can, mut cx) = self.core.can_parts();
+        can.aborted(now, &mut cx);
     }
 
     /// An attempt of the CAN port to send a frame failed; the controller tries again by itself.core.
@@ -297,8 +297,8 @@ impl Engine {
             return;
         }
         self.core.idle_until = AT_ONCE;
-        let (can, mut around) = self.core.can_parts();
-        can.set_off(bus_off, now, &mut around);
+        let (can, mut cx) = self.core.can_parts();
+        can.set_off(bus_off, now, &mut cx);
     }
 
     /// Whether the CAN controller is to be restarted after it went bus-off, once a time: after 10 ms, twice as long
@@ -393,10 +393,10 @@ impl Engine {
         self.core.polling.tick(now);
         self.end_host_burst(now);
         for port in [Port::Rs485A, Port::Rs485B] {
-            self.core.on_serial(port, |bus, around| bus.poll(now, around));
+            self.core.on_serial(port, |bus, cx| bus.poll(now, cx));
         }
-        let (can, mut around) = self.core.can_parts();
-        can.poll(now, &mut around);
+        let (can, mut cx) = self.core.can_parts();
+        can.poll(now, &mut cx);
         self.core.idle_until = self.next_due();
     }
 
@@ -458,13 +458,13 @@ impl Core {
         let [_, rs485_a, rs485_b, can] = moved;
         for (port, moved) in [(Port::Rs485A, rs485_a), (Port::Rs485B, rs485_b)] {
             if moved {
-                self.on_serial(port, |bus, around| bus.reset(now, around));
+                self.on_serial(port, |bus, cx| bus.reset(now, cx));
             }
         }
         if can {
             let node = self.live.port(Port::Can).node;
-            let (can, mut around) = self.can_parts();
-            can.reset(node, &mut around);
+            let (can, mut cx) = self.can_parts();
+            can.reset(node, &mut cx);
         }
     }
 
@@ -489,8 +489,8 @@ impl Core {
     }
 
     fn on_serial(&mut self, port: Port, run: impl FnOnce(&mut SerialBus, &mut Surroundings<'_>)) {
-        if let Some((bus, mut around)) = self.serial_parts(port) {
-            run(bus, &mut around);
+        if let Some((bus, mut cx)) = self.serial_parts(port) {
+            run(bus, &mut cx);
         }
     }
 
@@ -502,7 +502,7 @@ impl Core {
             Port::Rs485B => (&mut self.rs485_b, rs485_b),
             Port::Host | Port::Can => return None,
         };
-        let around = Surroundings {
+        let cx = Surroundings {
             host: HostSide { output: &mut self.output, counters: host },
             port: self.live.port(port),
             counters,
@@ -513,13 +513,13 @@ impl Core {
             bus: if port == Port::Rs485A { Target::Rs485A } else { Target::Rs485B },
             polling: &mut self.polling,
         };
-        Some((bus, around))
+        Some((bus, cx))
     }
 
     #[inline(never)] // likewise
     fn can_parts(&mut self) -> (&mut CanBus, Surroundings<'_>) {
         let [host, _, _, counters] = &mut self.counters;
-        let around = Surroundings {
+        let cx = Surroundings {
             host: HostSide { output: &mut self.output, counters: host },
             port: self.live.port(Port::Can),
             counters,
@@ -530,6 +530,6 @@ impl Core {
             bus: Target::Can,
             polling: &mut self.polling,
         };
-        (&mut self.can, around)
+        (&mut self.can, cx)
     }
 }

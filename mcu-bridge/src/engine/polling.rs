@@ -1,9 +1,9 @@
 //! Slots in which the bridge reads sensors by itself, on time.
 
 use super::AT_ONCE;
-use super::backlog::Content;
 use super::config::{Route, Target};
-use super::listener::Spelling;
+use super::queue::Content;
+use super::response::Framing;
 use super::router::Routes;
 use super::transaction::{Expected, Origin, Request};
 use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
@@ -295,8 +295,8 @@ pub(super) fn read(request: &Request, content: &mut Content) {
     let mut writer = Writer::new(&mut buffer);
     // the buffer has the length of a read
     let _ = READ.encode(&mut writer);
-    let spelling = if request.is_split { Spelling::Body } else { Spelling::Sealed };
-    spelling.write(request.expected.map_or(0, |expected| expected.remote()), writer.finish(), content);
+    let framing = if request.is_split { Framing::Body } else { Framing::Sealed };
+    framing.write(request.expected.map_or(0, |expected| expected.remote()), writer.finish(), content);
 }
 
 #[cfg(test)]

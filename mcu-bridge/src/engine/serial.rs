@@ -1,10 +1,10 @@
 //! A bus on a serial port: one transaction in flight, half duplex.
 
-use super::backlog::{Backlog, Content, QueueFull};
 use super::config::PortConfig;
 use super::counters::count;
 use super::host::FRAME_MAX;
-use super::listener::{Heard, Listener, Outgoing, Wanted, wire_byte, wire_length};
+use super::queue::{BusQueue, Content, QueueFull};
+use super::response::{Heard, Outgoing, Receiver, Wanted, wire_byte, wire_length};
 use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -54,9 +54,9 @@ impl Echo {
 /// A serial bus.
 #[derive(Debug)]
 pub(super) struct SerialBus {
-    backlog: Backlog,
+    queue: BusQueue,
     flight: Lane<Flight>,
-    listener: Listener,
+    receiver: Receiver,
     /// Whether requests go out as Modbus ASCII.
     is_ascii: bool,
     /// When the line was last heard or used.
@@ -67,9 +67,9 @@ impl SerialBus {
     /// A bus that speaks RTU or NST, before its start, in zeros.
     pub(super) const fn new() -> Self {
         Self {
-            backlog: Backlog::new(),
+            queue: BusQueue::new(),
             flight: Lane::Free,
-            listener: Listener::new(),
+            receiver: Receiver::new(),
             is_ascii: false,
             busy: Instant::from_micros(0),
         }
@@ -85,23 +85,23 @@ impl SerialBus {
         request: &Request,
         write: impl FnOnce(&mut Content),
         now: Instant,
-        around: &mut Surroundings<'_>,
+        cx: &mut Surroundings<'_>,
     ) -> Result<(), QueueFull> {
-        let result = self.backlog.push(request, write);
-        self.take_next(now, around);
+        let result = self.queue.push(request, write);
+        self.take_next(now, cx);
         result
     }
 
     /// Whether a request would have to wait for a reply that its unit owes.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
-        self.backlog.owed.holds(request, now)
+        self.queue.owed.holds(request, now)
     }
 
     /// What the port is to send.
     pub(super) fn pending(&self) -> &[u8] {
         match self.flight.as_ref() {
             Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) => {
-                outgoing.pending(self.backlog.content(transaction.index))
+                outgoing.pending(self.queue.content(transaction.index))
             }
             _ => &[],
         }
@@ -111,43 +111,43 @@ impl SerialBus {
     pub(super) fn consume(&mut self, taken: usize) {
         if let Some(Flight { transaction, phase: Phase::Sending { outgoing, .. }, .. }) = self.flight.as_mut()
         {
-            outgoing.consume(self.backlog.content(transaction.index), taken);
+            outgoing.consume(self.queue.content(transaction.index), taken);
         }
     }
 
     /// The last stop bit has left and the driver is off.
     #[inline(never)] // what it needs of the stack is not needed elsewhere
-    pub(super) fn transmitted(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn transmitted(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         if !self.pending().is_empty() {
             return;
         }
         let Some(flight) = self.flight.as_mut() else { return };
         let Phase::Sending { .. } = flight.phase else { return };
         self.busy = now;
-        count(&mut around.counters.sent);
+        count(&mut cx.counters.sent);
         let request = &flight.transaction.request;
         let Some(expected) = &request.expected else {
-            self.finish(around);
-            self.take_next(now, around);
+            self.finish(cx);
+            self.take_next(now, cx);
             return;
         };
         let [longest, other] = expected.lengths();
         let length = if expected.is_open() { FRAME_MAX } else { longest.max(other) };
-        let on_wire = around.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
+        let on_wire = cx.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
         let deadline = now.saturating_add(request.timeout.into()).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
-        self.discard(around);
+        self.discard(cx);
     }
 
     /// Takes bytes from the line, the last of which ended at `now`.
-    pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, cx: &mut Surroundings<'_>) {
         self.busy = now;
         if let Some(flight) = self.flight.as_mut()
-            && around.port.echo
+            && cx.port.echo
             && !matches!(flight.phase, Phase::Ready)
         {
-            let content = self.backlog.content(flight.transaction.index);
+            let content = self.queue.content(flight.transaction.index);
             flight.echo.take(|index| wire_byte(self.is_ascii, content, index), &mut bytes);
         }
         if matches!(self.flight.as_ref(), Some(Flight { phase: Phase::Sending { .. }, .. })) {
@@ -159,57 +159,57 @@ impl SerialBus {
                 Phase::Ready | Phase::Sending { .. } => None,
             });
             let in_flight = waiting.and_then(|(request, _)| request.expected.as_ref());
-            let wanted = Wanted { in_flight, owed: &self.backlog.owed };
-            let Some(heard) = self.listener.feed(wanted, &mut bytes) else { break };
+            let wanted = Wanted { in_flight, owed: &self.queue.owed };
+            let Some(heard) = self.receiver.feed(wanted, &mut bytes) else { break };
             if !matches!(heard, Heard::Broken) {
-                count(&mut around.counters.received);
+                count(&mut cx.counters.received);
             }
             match (heard, waiting) {
                 (Heard::Reply(content), Some((request, sent))) => {
-                    around.answer(request, content, sent, now);
+                    cx.answer(request, content, sent, now);
                     let remote = in_flight.map_or(0, Expected::remote);
                     if self.flight.as_ref().is_some_and(|flight| flight.transaction.unanswered > 0)
-                        || !self.backlog.owed.is_empty()
+                        || !self.queue.owed.is_empty()
                     {
-                        self.backlog.take(remote, content, now);
+                        self.queue.take(remote, content, now);
                     }
-                    self.finish(around);
+                    self.finish(cx);
                 }
-                (Heard::Owed(index, content), _) => {
-                    count(&mut around.counters.foreign_or_late);
+                (Heard::LateResponse(index, content), _) => {
+                    count(&mut cx.counters.foreign_or_late);
                     // a copy follows at once
                     let mut length = content.len().saturating_add(4);
                     if self.is_ascii {
                         length = length.saturating_mul(2);
                     }
-                    let copy = around.port.characters(length).saturating_add(around.port.pause());
-                    self.backlog.settle(index, content, copy, now, around);
+                    let copy = cx.port.characters(length).saturating_add(cx.port.pause());
+                    self.queue.settle(index, content, copy, now, cx);
                 }
-                _ => count(&mut around.counters.foreign_or_late),
+                _ => count(&mut cx.counters.foreign_or_late),
             }
         }
-        self.take_next(now, around);
+        self.take_next(now, cx);
     }
 
     /// Does what is due.
     #[inline(never)] // twice there, and what it needs of the stack is not needed elsewhere
-    pub(super) fn poll(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn poll(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         // the reply in flight may be half received: it has another place among the kinds now
-        if self.backlog.owed.expire(now) {
-            self.listener.rescan();
+        if self.queue.owed.expire(now) {
+            self.receiver.rescan();
         }
-        self.end_open_reply(now, around);
+        self.end_open_reply(now, cx);
         match self.flight.as_ref().map(|flight| &flight.phase) {
-            Some(Phase::Waiting { deadline, .. }) if now >= *deadline => self.time_out(now, around),
+            Some(Phase::Waiting { deadline, .. }) if now >= *deadline => self.time_out(now, cx),
             Some(Phase::Sending { limit, .. }) if now >= *limit => {
-                count(&mut around.counters.transmit_errors);
-                self.time_out(now, around);
+                count(&mut cx.counters.transmit_errors);
+                self.time_out(now, cx);
             }
             _ => {}
         }
-        self.backlog.expire(now, around);
-        self.expire_ready(now, around);
-        self.take_next(now, around);
+        self.queue.expire(now, cx);
+        self.expire_ready(now, cx);
+        self.take_next(now, cx);
     }
 
     /// When [`SerialBus::poll`] has something to do next.
@@ -222,82 +222,82 @@ impl SerialBus {
             }
             Phase::Waiting { deadline, .. } => deadline,
         });
-        flight.min(self.backlog.deadline())
+        flight.min(self.queue.deadline())
     }
 
     /// Drops everything that waits or is in flight, and speaks as the routes say now.
-    pub(super) fn reset(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn reset(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         if let Some(flight) = self.flight.take() {
-            around.fail(&flight.transaction.request);
-            flight.transaction.end(None, &mut self.backlog, around);
+            cx.fail(&flight.transaction.request);
+            flight.transaction.end(None, &mut self.queue, cx);
         }
-        self.backlog.clear(around);
-        self.is_ascii = around.routes.network.speaks_ascii(around.bus);
-        self.listener.reset(self.is_ascii);
+        self.queue.clear(cx);
+        self.is_ascii = cx.routes.network.speaks_ascii(cx.bus);
+        self.receiver.reset(self.is_ascii);
         self.busy = now;
     }
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
-    fn take_next(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    fn take_next(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         if self.flight.is_none()
-            && let Some(transaction) = self.backlog.next(now, around)
+            && let Some(transaction) = self.queue.next(now, cx)
         {
             self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, echo: Echo::default() });
         }
         if let Some(flight) = self.flight.as_mut()
             && matches!(flight.phase, Phase::Ready)
-            && now >= self.busy.saturating_add(around.port.gap())
+            && now >= self.busy.saturating_add(cx.port.gap())
         {
-            let content = self.backlog.content(flight.transaction.index);
-            let on_wire = around.port.characters(wire_length(self.is_ascii, content));
+            let content = self.queue.content(flight.transaction.index);
+            let on_wire = cx.port.characters(wire_length(self.is_ascii, content));
             let limit = now.saturating_add(on_wire).saturating_add(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { outgoing: Outgoing::start(self.is_ascii, content), limit };
             if flight.transaction.unanswered > 0 {
-                count(&mut around.counters.retries);
+                count(&mut cx.counters.retries);
             }
             flight.echo = Echo::default();
         }
     }
 
     /// Drops a request that the line had no silence for in time.
-    fn expire_ready(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    fn expire_ready(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         let Some(Flight { transaction, phase: Phase::Ready, .. }) = self.flight.as_ref() else { return };
         if now >= transaction.request.expires {
             if transaction.unanswered == 0 {
-                count(&mut around.counters.expired);
+                count(&mut cx.counters.expired);
             }
-            around.fail(&transaction.request);
-            self.finish(around);
+            cx.fail(&transaction.request);
+            self.finish(cx);
         }
     }
 
-    fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        self.discard(around);
-        self.count_collision(around);
+    fn time_out(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+        self.discard(cx);
+        self.count_collision(cx);
         let Some(flight) = self.flight.as_mut() else { return };
-        if flight.transaction.time_out(now, around) {
+        if flight.transaction.time_out(now, cx) {
             flight.phase = Phase::Ready;
         } else {
-            self.finish(around);
+            self.finish(cx);
         }
     }
 
     /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
-    fn count_collision(&self, around: &mut Surroundings<'_>) {
+    fn count_collision(&self, cx: &mut Surroundings<'_>) {
         let Some(Flight { transaction, echo, .. }) = self.flight.as_ref() else { return };
-        let length = wire_length(self.is_ascii, self.backlog.content(transaction.index));
-        if around.port.echo && (echo.collided || echo.heard < length) {
-            count(&mut around.counters.transmit_errors);
+        let length = wire_length(self.is_ascii, self.queue.content(transaction.index));
+        if cx.port.echo && (echo.collided || echo.heard < length) {
+            count(&mut cx.counters.transmit_errors);
         }
     }
 
-    fn finish(&mut self, around: &mut Surroundings<'_>) {
+    fn finish(&mut self, cx: &mut Surroundings<'_>) {
         if matches!(self.flight.as_ref(), Some(flight) if flight.transaction.request.expected.is_none()) {
-            self.count_collision(around);
+            self.count_collision(cx);
         }
         if let Some(flight) = self.flight.take() {
             let expected = flight.transaction.request.expected;
-            flight.transaction.end(expected, &mut self.backlog, around);
+            flight.transaction.end(expected, &mut self.queue, cx);
         }
     }
 
@@ -306,12 +306,12 @@ impl SerialBus {
     }
 
     fn is_open_reply(&self) -> bool {
-        self.listener.is_open() && self.expected().is_some_and(|expected| expected.is_open())
+        self.receiver.is_open() && self.expected().is_some_and(|expected| expected.is_open())
     }
 
     /// Silence ends a reply of unknown length.
-    fn end_open_reply(&mut self, now: Instant, around: &mut Surroundings<'_>) {
-        if !self.is_open_reply() || now < self.busy.saturating_add(around.port.pause()) {
+    fn end_open_reply(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+        if !self.is_open_reply() || now < self.busy.saturating_add(cx.port.pause()) {
             return;
         }
         let Some(Flight { transaction, phase: Phase::Waiting { sent, .. }, .. }) = self.flight.as_ref()
@@ -319,22 +319,22 @@ impl SerialBus {
             return;
         };
         let Some(expected) = &transaction.request.expected else { return };
-        match self.listener.end_of_frame(expected) {
+        match self.receiver.end_of_frame(expected) {
             Some(content) => {
-                count(&mut around.counters.received);
-                around.answer(&transaction.request, content, *sent, self.busy);
-                self.finish(around);
+                count(&mut cx.counters.received);
+                cx.answer(&transaction.request, content, *sent, self.busy);
+                self.finish(cx);
             }
             // silence has ended whatever it was; kept, it would be due again at once and until the timeout
-            None => self.discard(around),
+            None => self.discard(cx),
         }
     }
 
     /// Forgets received bytes that belong to nothing.
     #[inline(never)] // in many places
-    fn discard(&mut self, around: &mut Surroundings<'_>) {
-        if self.listener.discard() {
-            count(&mut around.counters.foreign_or_late);
+    fn discard(&mut self, cx: &mut Surroundings<'_>) {
+        if self.receiver.discard() {
+            count(&mut cx.counters.foreign_or_late);
         }
     }
 }

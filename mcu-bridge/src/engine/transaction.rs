@@ -1,11 +1,11 @@
 //! A request on its way over a bus: what answers it, how often it is tried, and what a bus may touch for it.
 
-use super::backlog::{Backlog, ContentIndex};
 use super::config::{Limits, PortConfig, ROUTES, Route, Target};
 use super::counters::{Counters, count};
 use super::host::Output;
 use super::polling::Polling;
 use super::quarantine::Quarantine;
+use super::queue::{BusQueue, ContentIndex};
 use super::router::Routes;
 use jointbus_protocol::decode::Match;
 use jointbus_protocol::modbus::{ExceptionCode, rtu};
@@ -116,7 +116,7 @@ pub(super) enum Origin {
     Slot(u8),
 }
 
-/// A request for a bus, without its bytes: these stay where the [`Backlog`] keeps them.
+/// A request for a bus, without its bytes: these stay where the [`BusQueue`] keeps them.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Request {
     /// Who wants the answer.
@@ -219,30 +219,25 @@ impl Transaction {
     }
 
     /// An attempt timed out; whether there is another one.
-    pub(super) fn time_out(&mut self, now: Instant, around: &mut Surroundings<'_>) -> bool {
-        count(&mut around.counters.timeouts);
+    pub(super) fn time_out(&mut self, now: Instant, cx: &mut Surroundings<'_>) -> bool {
+        count(&mut cx.counters.timeouts);
         self.unanswered = self.unanswered.saturating_add(1);
         if self.retries_left > 0 && now < self.request.expires {
             self.retries_left = self.retries_left.saturating_sub(1);
             return true;
         }
-        around.give_up(&self.request, now);
+        cx.give_up(&self.request, now);
         false
     }
 
     /// It has ended; what its device left unanswered is owed.
-    pub(super) fn end(
-        self,
-        expected: Option<Expected>,
-        backlog: &mut Backlog,
-        around: &mut Surroundings<'_>,
-    ) {
+    pub(super) fn end(self, expected: Option<Expected>, queue: &mut BusQueue, cx: &mut Surroundings<'_>) {
         if self.request.origin == Origin::Host {
-            around.host.output.release();
+            cx.host.output.release();
         }
-        backlog.free(self.index);
+        queue.free(self.index);
         if let (Some(expected), Some(sent)) = (expected, self.sent) {
-            backlog.owed.add(&self.request, expected, self.unanswered, sent);
+            queue.owed.add(&self.request, expected, self.unanswered, sent);
         }
     }
 }

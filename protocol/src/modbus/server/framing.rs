@@ -1,6 +1,6 @@
 use super::NoResponse;
+use super::basic::{answer, respond};
 use super::owner::Server;
-use super::respond::{answer, respond};
 use crate::checksum::{self, CRC_LENGTH};
 use crate::modbus::identification::MEI_TYPE;
 use crate::modbus::rtu::{FRAME_MAX, FRAME_MIN, FrameError};

@@ -8,20 +8,20 @@
 //! [`serve_rtu`] and [`serve_ascii`] are what the device dispatchers of this crate use, which judge requests by their
 //! own manuals.
 
+mod basic;
+mod extended;
 mod framing;
 mod owner;
 mod ram;
-mod rarer;
-mod respond;
 mod serial;
 #[cfg(test)]
 mod tests;
 mod view;
 
+pub use basic::respond;
+pub(crate) use basic::{complete, data_unit, reading, written};
 pub use framing::{ascii, rtu, rtu_with, tcp};
 pub use owner::{Failure, Server};
 pub use ram::RamTables;
-pub use respond::respond;
-pub(crate) use respond::{complete, data_unit, reading, written};
 pub use serial::{Destination, NoResponse, exception_for, serve_ascii, serve_rtu};
 pub use view::{BitWriter, Bits, RegisterWriter, Registers};

@@ -1,5 +1,5 @@
+use super::basic::conclude;
 use super::owner::Failure;
-use super::respond::conclude;
 use crate::checksum::{self, CRC_LENGTH};
 use crate::error::error_text;
 use crate::modbus::rtu::{Frame, FrameError};

@@ -1,11 +1,11 @@
 //! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
 
-use super::backlog::{Content, QueueFull};
 use super::config::{Port, Route, Target};
 use super::counters::count;
 use super::host::HostFormat;
-use super::listener::Spelling;
 use super::quarantine::Admission;
+use super::queue::{Content, QueueFull};
+use super::response::Framing;
 use super::transaction::{Expected, Request};
 use super::{Change, Core, Engine};
 use jointbus_protocol::decode::{DecodeError, Event, FrameLength};
@@ -235,17 +235,17 @@ impl Core {
         body: &[u8],
         now: Instant,
     ) -> Result<(), QueueFull> {
-        let spelling = Spelling::of(route);
-        let write = |content: &mut Content| spelling.write(address, body, content);
+        let framing = Framing::of(route);
+        let write = |content: &mut Content| framing.write(address, body, content);
         match route.bus {
             Target::Rs485A | Target::Rs485B => {
                 let port = if route.bus == Target::Rs485A { Port::Rs485A } else { Port::Rs485B };
-                let Some((bus, mut around)) = self.serial_parts(port) else { return Err(QueueFull) };
-                bus.push(request, write, now, &mut around)
+                let Some((bus, mut cx)) = self.serial_parts(port) else { return Err(QueueFull) };
+                bus.push(request, write, now, &mut cx)
             }
             Target::Can => {
-                let (can, mut around) = self.can_parts();
-                can.push(request, write, now, &mut around)
+                let (can, mut cx) = self.can_parts();
+                can.push(request, write, now, &mut cx)
             }
             Target::LocalOutputs | Target::LocalIo | Target::Bridge => Err(QueueFull),
         }

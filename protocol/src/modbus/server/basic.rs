@@ -1,6 +1,6 @@
 use super::NoResponse;
+use super::extended::rarer;
 use super::owner::{Failure, Server};
-use super::rarer::rarer;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{
     AddressRange, COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, READ_BITS_MAX, READ_REGISTERS_MAX, Request,

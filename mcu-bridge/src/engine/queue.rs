@@ -19,12 +19,12 @@ pub(super) struct QueueFull;
 /// The bytes of a request: on a serial bus the whole frame, for Modbus ASCII address and data unit, on CAN the body.
 pub(super) type Content = Vec<u8, FRAME_MAX, u16>;
 
-/// Where a [`Backlog`] keeps the bytes of a request until it is done.
+/// Where a [`BusQueue`] keeps the bytes of a request until it is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ContentIndex(u8);
 
 impl ContentIndex {
-    fn free(self, kept: &mut [Kept]) {
+    fn free(self, kept: &mut [Entry]) {
         if let Some(kept) = kept.get_mut(usize::from(self.0)) {
             kept.is_taken = false;
         }
@@ -32,12 +32,12 @@ impl ContentIndex {
 }
 
 #[derive(Debug)]
-struct Kept {
+struct Entry {
     is_taken: bool,
     content: Content,
 }
 
-impl Kept {
+impl Entry {
     const fn new() -> Self {
         Self { is_taken: false, content: Vec::new() }
     }
@@ -45,11 +45,11 @@ impl Kept {
 
 /// The requests of a bus, and the replies that its devices owe.
 #[derive(Debug)]
-pub(super) struct Backlog {
+pub(super) struct BusQueue {
     queue: Queue,
     /// One for each that waits, one for that in flight.
-    kept: [Kept; QUEUE + 1],
-    pub(super) owed: OwedReplies,
+    kept: [Entry; QUEUE + 1],
+    pub(super) owed: LateResponses,
     /// The reply that was taken last, while any are owed.
     last: Option<Taken>,
 }
@@ -62,11 +62,11 @@ struct Taken {
     at: Instant,
 }
 
-impl Backlog {
+impl BusQueue {
     pub(super) const fn new() -> Self {
         // spelt out: a loop over them would build the whole engine on the stack and copy it
-        let kept = [Kept::new(), Kept::new(), Kept::new(), Kept::new(), Kept::new()];
-        Self { queue: Queue::new(), kept, owed: OwedReplies::new(), last: None }
+        let kept = [Entry::new(), Entry::new(), Entry::new(), Entry::new(), Entry::new()];
+        Self { queue: Queue::new(), kept, owed: LateResponses::new(), last: None }
     }
 
     /// Takes a request from the host, whose bytes `write` writes.
@@ -107,31 +107,31 @@ impl Backlog {
     }
 
     /// The next request for the bus: the host's go before the bridge's own polling.
-    pub(super) fn next(&mut self, now: Instant, around: &mut Surroundings<'_>) -> Option<Transaction> {
+    pub(super) fn next(&mut self, now: Instant, cx: &mut Surroundings<'_>) -> Option<Transaction> {
         if self.owed.is_full() {
             return None;
         }
-        if around.host.output.has_room()
+        if cx.host.output.has_room()
             && let Some(Waiting { request, index }) = self.queue.next(&self.owed, now)
         {
-            around.host.output.reserve();
+            cx.host.output.reserve();
             return Some(Transaction::new(request, index));
         }
         loop {
             let held = |request: &Request| self.owed.holds(request, now);
-            let mut request = around.polling.next(around.bus, around.routes, now, held)?;
-            match around.quarantine.admit(request.unit, false, around.limits, now) {
+            let mut request = cx.polling.next(cx.bus, cx.routes, now, held)?;
+            match cx.quarantine.admit(request.unit, false, cx.limits, now) {
                 Admission::Normal => {}
-                Admission::Probe => request.become_probe(around.limits),
+                Admission::Probe => request.become_probe(cx.limits),
                 Admission::Refused => {
                     // no longer due, so the next look finds another request or none
-                    around.fail(&request);
+                    cx.fail(&request);
                     continue;
                 }
             }
             let Some(index) = self.keep(|content| polling::read(&request, content)) else {
                 // there is an index for each that waits and one more
-                around.fail(&request);
+                cx.fail(&request);
                 return None;
             };
             return Some(Transaction::new(request, index));
@@ -139,13 +139,13 @@ impl Backlog {
     }
 
     /// Drops the requests that can no longer be sent in time.
-    pub(super) fn expire(&mut self, now: Instant, around: &mut Surroundings<'_>) {
+    pub(super) fn expire(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
         let late = |waiting: &Waiting| now >= waiting.request.expires;
         while let Some(index) = self.queue.0.iter().position(late)
             && let Some(waiting) = self.queue.remove(index)
         {
-            count(&mut around.counters.expired);
-            around.fail(&waiting.request);
+            count(&mut cx.counters.expired);
+            cx.fail(&waiting.request);
             waiting.index.free(&mut self.kept);
         }
     }
@@ -170,7 +170,7 @@ impl Backlog {
         content: &[u8],
         copy: Duration,
         now: Instant,
-        around: &mut Surroundings<'_>,
+        cx: &mut Surroundings<'_>,
     ) {
         let Some(remote) = self.owed.iter().nth(index).map(Expected::remote) else { return };
         let former = self.last;
@@ -180,16 +180,16 @@ impl Backlog {
                 && now.saturating_duration_since(former.at) <= copy
         });
         if !is_copy && let Some(unit) = self.owed.settle(index, now) {
-            around.quarantine.answered(unit);
+            cx.quarantine.answered(unit);
         }
     }
 
     /// Drops everything.
-    pub(super) fn clear(&mut self, around: &mut Surroundings<'_>) {
-        self.queue.0.iter().for_each(|waiting| around.fail(&waiting.request));
+    pub(super) fn clear(&mut self, cx: &mut Surroundings<'_>) {
+        self.queue.0.iter().for_each(|waiting| cx.fail(&waiting.request));
         self.queue.0.clear();
         self.kept.iter_mut().for_each(|kept| kept.is_taken = false);
-        self.owed = OwedReplies::new();
+        self.owed = LateResponses::new();
     }
 }
 
@@ -210,7 +210,7 @@ impl Queue {
 
     /// Takes out the next request: writes before reads of other units, in order for each unit, also behind one that
     /// is held because its unit owes a reply.
-    fn next(&mut self, owed: &OwedReplies, now: Instant) -> Option<Waiting> {
+    fn next(&mut self, owed: &LateResponses, now: Instant) -> Option<Waiting> {
         let mut chosen = None;
         for (index, Waiting { request, .. }) in self.0.iter().enumerate() {
             let behind = self.0.iter().take(index).any(|earlier| earlier.request.unit == request.unit);
@@ -238,7 +238,7 @@ impl Queue {
 
 /// Replies of one kind that may still come.
 #[derive(Debug, Clone, Copy)]
-struct Owed {
+struct LateResponse {
     expected: Expected,
     replies: u8,
     until: Instant,
@@ -248,14 +248,14 @@ struct Owed {
 }
 
 /// How many kinds of reply a bus can be owed; while that many are, it starts no transaction.
-pub(super) const OWED: usize = 4;
+pub(super) const LATE_RESPONSES: usize = 4;
 
 /// Replies that devices owe because they let an attempt time out. They number nothing, so until such a reply has come
 /// or the hold-off has passed, it could be taken for the answer to a request like the one that it belongs to.
 #[derive(Debug)]
-pub(super) struct OwedReplies(Vec<Owed, OWED>);
+pub(super) struct LateResponses(Vec<LateResponse, LATE_RESPONSES>);
 
-impl OwedReplies {
+impl LateResponses {
     const fn new() -> Self {
         Self(Vec::new())
     }
@@ -267,7 +267,7 @@ impl OwedReplies {
             let before = |window| until.saturating_duration_since(sent.saturating_add(window)).into();
             let probed = request.probe_window().map(before);
             // a transaction starts only while there is room, and adds at most once
-            let _ = self.0.push(Owed { expected, replies, until, unit: request.unit, probed });
+            let _ = self.0.push(LateResponse { expected, replies, until, unit: request.unit, probed });
         }
     }
 
@@ -336,7 +336,7 @@ mod tests {
         Request::new(unit, function.code(), Some(expected), (Some(number), route), start)
     }
 
-    fn order(queue: &mut Queue, owed: &OwedReplies) -> std::vec::Vec<(u8, u8)> {
+    fn order(queue: &mut Queue, owed: &LateResponses) -> std::vec::Vec<(u8, u8)> {
         let now = Instant::from_micros(0);
         std::iter::from_fn(|| queue.next(owed, now))
             .map(|it| (it.request.unit, it.request.function))
@@ -358,7 +358,7 @@ mod tests {
         }
         assert!(push(&mut queue, 4, READ).is_err(), "four can wait");
         let expected = [(3, 0x12), (1, 3), (1, 0x12), (2, 3)];
-        assert_eq!(order(&mut queue, &OwedReplies::new()), expected);
+        assert_eq!(order(&mut queue, &LateResponses::new()), expected);
     }
 
     #[test]
@@ -367,7 +367,7 @@ mod tests {
         for (unit, function) in [(1, READ), (1, ZERO), (2, READ)] {
             push(&mut queue, unit, function).unwrap();
         }
-        let mut owed = OwedReplies::new();
+        let mut owed = LateResponses::new();
         let owing = Request { late_response_window: Duration::from_micros(10).into(), ..request(1, READ) };
         owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
         assert_eq!(order(&mut queue, &owed), [(2, 3)]);
@@ -385,7 +385,7 @@ mod tests {
         assert_eq!((probe.timeout.into(), probe.retries), (Duration::from_millis(50), 0));
         let at = |millis: u64| Instant::from_micros(millis * 1000);
         for (came, back) in [(499, Some(1)), (500, None)] {
-            let mut owed = OwedReplies::new();
+            let mut owed = LateResponses::new();
             owed.add(&probe, probe.expected.unwrap(), 1, at(0));
             assert_eq!(owed.settle(0, at(came)), back);
         }

@@ -110,12 +110,12 @@ impl Diagnostics {
 }
 
 /// The bridge's registers, at one moment.
-struct Own<'a> {
+struct Management<'a> {
     core: &'a mut Core,
     now: Instant,
 }
 
-impl Server for Own<'_> {
+impl Server for Management<'_> {
     fn supports(&self, function: FunctionCode) -> bool {
         matches!(
             function,
@@ -214,7 +214,7 @@ impl Core {
         self.diagnostics.requests = self.diagnostics.requests.wrapping_add(1);
         let was_saving = self.saving != Saving::No;
         let mut response = [0; PDU_MAX];
-        let Ok(response) = server::respond(&mut Own { core: self, now }, pdu, &mut response) else {
+        let Ok(response) = server::respond(&mut Management { core: self, now }, pdu, &mut response) else {
             return;
         };
         if response.first().is_some_and(|code| code & FunctionCode::EXCEPTION_FLAG != 0) {

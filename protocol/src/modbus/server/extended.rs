@@ -1,5 +1,5 @@
+use super::basic::{bytes_of_registers, complete, echo, judge, reading};
 use super::owner::{Failure, Server};
-use super::respond::{bytes_of_registers, complete, echo, judge, reading};
 use super::view::{RegisterWriter, Registers};
 use crate::modbus::identification::{self, MEI_TYPE, OBJECT_MAX, ObjectId, ReadDeviceIdCode};
 use crate::modbus::{

@@ -1,8 +1,8 @@
 //! How a serial bus spells a request on the wire, and how it finds the reply in what it hears.
 
-use super::backlog::{Content, OWED, OwedReplies};
 use super::config::{Protocol, Route, Target};
 use super::host::FRAME_MAX;
+use super::queue::{Content, LATE_RESPONSES, LateResponses};
 use super::transaction::Expected;
 use heapless::Vec;
 use jointbus_protocol::checksum;
@@ -13,13 +13,13 @@ use jointbus_protocol::modbus::ascii;
 const WINDOW: usize = FRAME_MAX + 16;
 
 /// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
-const KINDS: usize = 2 * (OWED + 1);
+const KINDS: usize = 2 * (LATE_RESPONSES + 1);
 
 /// What a bus waits for.
 #[derive(Clone, Copy)]
 pub(super) struct Wanted<'a> {
     pub(super) in_flight: Option<&'a Expected>,
-    pub(super) owed: &'a OwedReplies,
+    pub(super) owed: &'a LateResponses,
 }
 
 impl Wanted<'_> {
@@ -46,7 +46,7 @@ pub(super) enum Heard<'a> {
     /// The reply in flight, without address and checksum.
     Reply(&'a [u8]),
     /// One that is owed, likewise.
-    Owed(usize, &'a [u8]),
+    LateResponse(usize, &'a [u8]),
     /// Whole, and wanted by nobody; RTU and NST frames can't be told from noise then.
     Foreign,
     /// Characters that are no frame.
@@ -55,14 +55,14 @@ pub(super) enum Heard<'a> {
 
 /// Finds frames in the bytes of a serial bus.
 #[derive(Debug)]
-pub(super) enum Listener {
+pub(super) enum Receiver {
     /// NST and Modbus RTU, which nothing delimits: slides to what is wanted.
     Sliding(ResponseMatcher<WINDOW, KINDS>),
     /// Modbus ASCII.
     Ascii(ascii::Decoder),
 }
 
-impl Listener {
+impl Receiver {
     pub(super) const fn new() -> Self {
         Self::Sliding(ResponseMatcher::new())
     }
@@ -83,7 +83,7 @@ impl Listener {
             Self::Sliding(search) => {
                 let (kind, frame) = search.feed(&wanted, bytes)?;
                 Some(match (kind / 2).checked_sub(1) {
-                    Some(index) => Heard::Owed(index, content(frame)),
+                    Some(index) => Heard::LateResponse(index, content(frame)),
                     None => Heard::Reply(content(frame)),
                 })
             }
@@ -93,7 +93,7 @@ impl Listener {
                     match wanted.in_flight.is_some_and(fits) {
                         true => Heard::Reply(pdu),
                         false => match wanted.owed.iter().position(fits) {
-                            Some(index) => Heard::Owed(index, pdu),
+                            Some(index) => Heard::LateResponse(index, pdu),
                             None => Heard::Foreign,
                         },
                     }
@@ -152,7 +152,7 @@ const _: () = assert!(checksum::CRC_LENGTH == 2);
 
 /// What of a frame a bus is handed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Spelling {
+pub(super) enum Framing {
     /// Address, body and CRC.
     Sealed,
     /// Address and body: Modbus ASCII has a checksum of its own.
@@ -161,7 +161,7 @@ pub(super) enum Spelling {
     Body,
 }
 
-impl Spelling {
+impl Framing {
     /// What the bus of a route is handed.
     pub(super) const fn of(route: &Route) -> Self {
         match (route.bus, route.protocol) {
