@@ -5,7 +5,9 @@
 
 use jointbus_fuzz::{Script, sealed};
 use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{Engine, Identity, MAP_VERSION, ResetCause, SLOTS, STORED_LENGTH, Settings};
+use jointbus_mcu_bridge::engine::{
+    Engine, Identity, MAP_VERSION, ResetCause, SLOTS, STORED_LENGTH, Settings,
+};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;
@@ -31,7 +33,10 @@ fuzz_target!(|data: &[u8]| {
     while let Some(deadline) = engine.poll_at().filter(|deadline| *deadline <= end) {
         wakes += 1;
         if wakes >= WAKES {
-            assert!(periods(&engine, now.saturating_duration_since(start)) >= WAKES / 8, "it is woken for nothing");
+            assert!(
+                periods(&engine, now.saturating_duration_since(start)) >= WAKES / 8,
+                "it is woken for nothing"
+            );
             break;
         }
         now = now.max(deadline);

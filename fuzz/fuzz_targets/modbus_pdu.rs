@@ -3,7 +3,7 @@
 #![no_main]
 
 use jointbus_fuzz::sealed;
-use jointbus_protocol::decode::{Match, FrameLength};
+use jointbus_protocol::decode::{FrameLength, Match};
 use jointbus_protocol::modbus::identification::{MEI_TYPE, Objects};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::modbus::{PDU_MAX, Request, Response};

@@ -6,10 +6,10 @@ use jointbus_fuzz::{Script, check_response, sealed};
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::identification::{ConformityLevel, ObjectId};
 use jointbus_protocol::modbus::server::{
-    self, Bits, BitWriter, RamTables, Registers, RegisterWriter, Server, NoResponse,
+    self, BitWriter, Bits, NoResponse, RamTables, RegisterWriter, Registers, Server,
 };
 use jointbus_protocol::modbus::{
-    BROADCAST, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, AddressRange, ascii, rtu, tcp,
+    AddressRange, BROADCAST, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, ascii, rtu, tcp,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -29,20 +29,36 @@ impl Server for Everything {
     fn read_coils(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
         self.tables.read_coils(range, bits)
     }
-    fn read_discrete_inputs(&mut self, range: AddressRange, bits: &mut BitWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_discrete_inputs(
+        &mut self,
+        range: AddressRange,
+        bits: &mut BitWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         self.tables.read_discrete_inputs(range, bits)
     }
-    fn read_holding_registers(&mut self, range: AddressRange, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_holding_registers(
+        &mut self,
+        range: AddressRange,
+        all: &mut RegisterWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         self.tables.read_holding_registers(range, all)
     }
-    fn read_input_registers(&mut self, range: AddressRange, all: &mut RegisterWriter<'_>) -> Result<(), ExceptionCode> {
+    fn read_input_registers(
+        &mut self,
+        range: AddressRange,
+        all: &mut RegisterWriter<'_>,
+    ) -> Result<(), ExceptionCode> {
         self.tables.read_input_registers(range, all)
     }
     fn write_coils(&mut self, range: AddressRange, bits: Bits<'_>) -> Result<(), ExceptionCode> {
         assert_eq!(bits.len(), range.quantity);
         self.tables.write_coils(range, bits)
     }
-    fn write_registers(&mut self, range: AddressRange, registers: Registers<'_>) -> Result<(), ExceptionCode> {
+    fn write_registers(
+        &mut self,
+        range: AddressRange,
+        registers: Registers<'_>,
+    ) -> Result<(), ExceptionCode> {
         assert_eq!(registers.len(), usize::from(range.quantity));
         self.tables.write_registers(range, registers)
     }
@@ -61,7 +77,11 @@ impl Server for Everything {
     fn exception_status(&mut self) -> Result<u8, ExceptionCode> {
         Ok(0x5A)
     }
-    fn diagnostics(&mut self, what: DiagnosticSubfunction, data: Registers<'_>) -> Result<Option<u16>, ExceptionCode> {
+    fn diagnostics(
+        &mut self,
+        what: DiagnosticSubfunction,
+        data: Registers<'_>,
+    ) -> Result<Option<u16>, ExceptionCode> {
         assert_ne!(what, DiagnosticSubfunction::ForceListenOnly);
         assert!(what == DiagnosticSubfunction::ReturnQueryData || data.len() == 1);
         match what {

@@ -3,7 +3,7 @@
 #![no_main]
 
 use jointbus_protocol::modbus::tcp::{Decoder, FRAME_MAX, Frame, HEADER_LENGTH, Header, encode_request};
-use jointbus_protocol::modbus::{PDU_MAX, AddressRange, Request};
+use jointbus_protocol::modbus::{AddressRange, PDU_MAX, Request};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {

@@ -1,9 +1,9 @@
 //! NST bodies and frames: what decodes encodes to the same bytes, and its length is told by its first ones.
 #![no_main]
 
-use jointbus_protocol::decode::{Match, FrameLength};
+use jointbus_protocol::decode::{FrameLength, Match};
 use jointbus_protocol::nst::can;
-use jointbus_protocol::nst::{Response, Request, SAMPLE_LENGTH, Sample, SignEncoding, serial, stream};
+use jointbus_protocol::nst::{Request, Response, SAMPLE_LENGTH, Sample, SignEncoding, serial, stream};
 use jointbus_protocol::wire::Writer;
 use libfuzzer_sys::fuzz_target;
 

@@ -5,7 +5,7 @@
 use jointbus_fuzz::Script;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{
-    BROADCAST, Identifier, ReassemblyError, Outcome, Reassembler, PushResult, TRANSFER_MAX, segment,
+    BROADCAST, Identifier, Outcome, PushResult, Reassembler, ReassemblyError, TRANSFER_MAX, segment,
 };
 use jointbus_protocol::time::{Duration, Instant};
 use libfuzzer_sys::fuzz_target;

@@ -7,7 +7,7 @@ use jointbus_protocol::can::Id;
 use jointbus_protocol::nst::can::{self, Identifier};
 use jointbus_protocol::nst::register::{self, Access};
 use jointbus_protocol::nst::{
-    ADDRESS_MAX, ADDRESS_MIN, BROADCAST, Daq, RamHardware, Request, Sample, SignEncoding, NoResponse, serial,
+    ADDRESS_MAX, ADDRESS_MIN, BROADCAST, Daq, NoResponse, RamHardware, Request, Sample, SignEncoding, serial,
 };
 use libfuzzer_sys::fuzz_target;
 

@@ -29,7 +29,8 @@ fuzz_target!(|data: &[u8]| {
             finds(&expected, script, &sealed(&reply));
         }
         1 => {
-            let expected = ExpectedResponse::new(UNIT, &Request::ReadInputRegisters(AddressRange::new(0, quantity)));
+            let expected =
+                ExpectedResponse::new(UNIT, &Request::ReadInputRegisters(AddressRange::new(0, quantity)));
             let bytes = u8::try_from(quantity * 2).unwrap();
             finds(&expected, script, &sealed(&[&[UNIT, 4, bytes][..], &vec![way; bytes.into()]].concat()));
         }

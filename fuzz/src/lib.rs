@@ -5,7 +5,7 @@
 //! or drops change little of what follows.
 
 use jointbus_protocol::checksum;
-use jointbus_protocol::decode::{FrameDecoder, Event, Framing};
+use jointbus_protocol::decode::{Event, FrameDecoder, Framing};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::modbus::{FunctionCode, Request};
 use jointbus_protocol::time::{Duration, Instant};

@@ -145,7 +145,7 @@ pub struct Limits {
     /// Time after which a request is no longer sent, in ms.
     pub time_to_live_ms: u16,
     /// How long a reply is owed, in ms; 0 stands for three times the timeout.
-    pub hold_off_ms: u16,
+    pub late_response_window_ms: u16,
     /// Silence that ends a burst from the host, in 100 us.
     pub burst_silence_100us: u16,
 }
@@ -157,7 +157,7 @@ impl Limits {
         write_ms: 3000,
         retries: 1,
         time_to_live_ms: 30_000,
-        hold_off_ms: 0,
+        late_response_window_ms: 0,
         burst_silence_100us: 20_000,
     };
 
@@ -179,7 +179,13 @@ pub fn set_limits<S: Read + Write>(client: &mut Client<S>, limits: &Limits) -> R
     const TRIES: usize = 5;
     let mut own = client.modbus(UNIT);
     own.write_registers(BURST_SILENCE, &[limits.burst_silence_100us])?;
-    let times = [limits.read_ms, limits.write_ms, limits.retries, limits.time_to_live_ms, limits.hold_off_ms];
+    let times = [
+        limits.read_ms,
+        limits.write_ms,
+        limits.retries,
+        limits.time_to_live_ms,
+        limits.late_response_window_ms,
+    ];
     for _ in 0..TRIES {
         for route in BUS_ROUTES {
             own.write_registers(ROUTES + 0x10 * route + ROUTE_TIMES, &times)?;

@@ -41,7 +41,9 @@ fn every_device_answers_through_the_bridge() {
 fn a_device_without_its_plug_times_out_and_returns() {
     let mut bench = Bench::in_process().unwrap();
     bench.client().unwrap().nst(CAN_UNIT).sample().unwrap();
-    bench.set_limits(&Limits { read_ms: 20, write_ms: 20, hold_off_ms: 20, ..Limits::GENEROUS }).unwrap();
+    bench
+        .set_limits(&Limits { read_ms: 20, write_ms: 20, late_response_window_ms: 20, ..Limits::GENEROUS })
+        .unwrap();
     let mut client = bench.client().unwrap();
     bench.can.lock().sensor(1).unwrap().set_plugged(false);
     bench.rs485_b.lock().set_plugged(false);

@@ -1,6 +1,6 @@
 //! The bridge's routing table, asked for the unit that stands last in it.
 
-use jointbus_mcu_bridge::engine::config::{Target, Topology, ROUTES, Route};
+use jointbus_mcu_bridge::engine::config::{ROUTES, Route, Target, Topology};
 use jointbus_mcu_bridge::engine::router::Router;
 
 use crate::{FRAME_MAX, Kind, Subject};

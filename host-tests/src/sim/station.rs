@@ -2,9 +2,9 @@
 
 use super::delay::Delay;
 use super::fault::Fault;
+use super::framing;
 use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
-use super::framing;
 use crate::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
 };

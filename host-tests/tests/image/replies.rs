@@ -6,7 +6,7 @@ use super::*;
 fn an_unplugged_device_is_told_in_time_and_comes_back() {
     let mut bench = Bench::emulated(&options()).unwrap();
     bench.client().unwrap().nst(CAN_UNIT).sample().unwrap();
-    let limits = Limits { read_ms: 50, write_ms: 50, hold_off_ms: 50, ..Limits::GENEROUS };
+    let limits = Limits { read_ms: 50, write_ms: 50, late_response_window_ms: 50, ..Limits::GENEROUS };
     bench.set_limits(&limits).unwrap();
     let mut client = bench.client().unwrap();
     bench.can.lock().sensor(1).unwrap().set_plugged(false);
@@ -64,7 +64,7 @@ fn addresses_are_rewritten_on_the_way_out_and_back() {
 #[test]
 fn a_late_reply_is_given_to_no_other_request() {
     // the first attempt runs out, then its reply is owed for longer than this test takes
-    let limits = Limits { read_ms: 200, retries: 0, hold_off_ms: 60_000, ..Limits::GENEROUS };
+    let limits = Limits { read_ms: 200, retries: 0, late_response_window_ms: 60_000, ..Limits::GENEROUS };
     let mut bare = Bare::start(&limits);
     let mut device = bare.device(Port::Usart3);
     let refused = bare.client.modbus(RS485_B_UNIT).read_input_registers(0x0040, 1);
@@ -91,7 +91,9 @@ fn a_device_in_quarantine_is_refused_at_once_and_returns_with_its_first_answer()
     const QUARANTINED: u16 = 0x020C;
     let mut bench = Bench::emulated(&options()).unwrap();
     bench.client().unwrap().modbus(RS485_B_UNIT).read_coils(0x0200, 8).unwrap();
-    bench.set_limits(&Limits { read_ms: 300, retries: 0, hold_off_ms: 1, ..Limits::GENEROUS }).unwrap();
+    bench
+        .set_limits(&Limits { read_ms: 300, retries: 0, late_response_window_ms: 1, ..Limits::GENEROUS })
+        .unwrap();
     let mut client = bench.client().unwrap();
     bench.rs485_b.lock().set_plugged(false);
     let mut refusals = 0;
@@ -115,7 +117,7 @@ fn a_device_in_quarantine_is_refused_at_once_and_returns_with_its_first_answer()
 
 #[test]
 fn a_reply_with_a_broken_character_is_not_taken_and_each_such_character_is_counted() {
-    let limits = Limits { read_ms: 500, retries: 1, hold_off_ms: 1, ..Limits::GENEROUS };
+    let limits = Limits { read_ms: 500, retries: 1, late_response_window_ms: 1, ..Limits::GENEROUS };
     let mut bare = Bare::start(&limits);
     let mut station = bare.device(Port::Usart3);
     let reply = frame(&[3, 4, 2, 0x12, 0x34]);

@@ -121,7 +121,9 @@ fn a_change_without_confirmation_is_taken_back_and_one_with_it_stays() {
     const CONFIRM: u16 = 0xC0F1;
     let mut bench = Bench::emulated(&options()).unwrap();
     bench.client().unwrap().modbus(RS485_B_UNIT).read_coils(0x0200, 8).unwrap();
-    bench.set_limits(&Limits { read_ms: 300, retries: 0, hold_off_ms: 1, ..Limits::GENEROUS }).unwrap();
+    bench
+        .set_limits(&Limits { read_ms: 300, retries: 0, late_response_window_ms: 1, ..Limits::GENEROUS })
+        .unwrap();
     let mut client = bench.client().unwrap();
     let mut own = client.modbus(bridge::UNIT);
     own.write_register(REMOTE, 50).unwrap();

@@ -155,7 +155,7 @@ pub struct Route {
     /// Time after which a request is no longer sent, in ms, 1 and up.
     pub time_to_live_ms: u16,
     /// How long a reply is owed, in ms; 0 stands for three times the timeout.
-    pub hold_off_ms: u16,
+    pub late_response_window_ms: u16,
     /// Whether writes and commands are refused.
     pub refuse_writes: bool,
 }
@@ -187,7 +187,7 @@ impl Route {
             write_timeout_ms: 500,
             read_retries: 1,
             time_to_live_ms,
-            hold_off_ms: 0,
+            late_response_window_ms: 0,
             refuse_writes: false,
         }
     }
@@ -220,7 +220,7 @@ impl Route {
     /// How long a device that let a request time out owes the reply.
     #[must_use]
     pub const fn late_response_window(&self, is_read: bool) -> Duration {
-        match self.hold_off_ms {
+        match self.late_response_window_ms {
             0 => self.timeout(is_read).saturating_mul(3),
             millis => Duration::from_millis(millis as u64),
         }
@@ -367,7 +367,7 @@ impl Topology {
             write_timeout_ms: 0,
             read_retries: 0,
             time_to_live_ms: 0,
-            hold_off_ms: 0,
+            late_response_window_ms: 0,
             refuse_writes: false,
         };
         Self { ports: [port; 4], routes: [route; ROUTES] }

@@ -269,7 +269,7 @@ impl Route {
             6 => self.write_timeout_ms,
             7 => self.read_retries.into(),
             8 => self.time_to_live_ms,
-            9 => self.hold_off_ms,
+            9 => self.late_response_window_ms,
             10 => self.refuse_writes.into(),
             _ => 0,
         }
@@ -290,7 +290,7 @@ impl Route {
                     byte(value).and_then(|count| if count < 10 { Ok(count) } else { Err(refused) })?
             }
             8 => self.time_to_live_ms = at_least_1(value)?,
-            9 => self.hold_off_ms = value,
+            9 => self.late_response_window_ms = value,
             10 => self.refuse_writes = flag(value)?,
             _ => return Err(ExceptionCode::IllegalDataAddress),
         }
