@@ -12,7 +12,7 @@ use object::{Object as _, ObjectSection as _, ObjectSymbol as _, RelocationTarge
 use rustc_demangle::demangle;
 
 use crate::run;
-use crate::setup::{self, TARGET, Toolchain};
+use crate::setup::{self, TARGETS, Toolchain};
 use crate::workspace::Workspace;
 
 /// The package, and the feature without which it is empty.
@@ -34,22 +34,29 @@ const BUILD_LIMIT: Duration = Duration::from_secs(600);
 pub(crate) fn panic_free(workspace: &Workspace) -> Result<()> {
     let toolchain = setup::toolchain(workspace)?;
     every_function_is_probed(workspace)?;
-    for profile in PROFILES {
-        let mut command = image(workspace, &toolchain, "build", profile, FEATURE);
-        println!("{IMAGE} with profile {profile}: links");
-        if let Err(error) = run::quiet(&mut command, BUILD_LIMIT) {
-            ensure!(error.to_string().contains(MISSING), "{error:#}");
-            bail!("a panic survives profile {profile}:\n{}", callers(workspace, &toolchain, profile)?);
-        }
-        let features = format!("{FEATURE},{SABOTAGE}");
-        println!("{IMAGE} with profile {profile} and a deliberate panic: does not link");
-        match run::quiet(&mut image(workspace, &toolchain, "build", profile, &features), BUILD_LIMIT) {
-            Err(error) if error.to_string().contains(MISSING) => {}
-            Err(error) => return Err(error.context("it failed, but not for the panic")),
-            Ok(()) => bail!("an image with a panic in it links with profile {profile}: the proof is void"),
+    for target in TARGETS {
+        for profile in PROFILES {
+            proof(workspace, &toolchain, target, profile)?;
         }
     }
     Ok(())
+}
+
+/// The image links for this target; with a deliberate panic it does not.
+fn proof(workspace: &Workspace, toolchain: &Toolchain, target: &str, profile: &str) -> Result<()> {
+    println!("{IMAGE} for {target}, profile {profile}: links");
+    let mut command = image(workspace, toolchain, "build", target, profile, FEATURE);
+    if let Err(error) = run::quiet(&mut command, BUILD_LIMIT) {
+        ensure!(error.to_string().contains(MISSING), "{error:#}");
+        bail!("a panic survives profile {profile}:\n{}", callers(workspace, toolchain, target, profile)?);
+    }
+    let features = format!("{FEATURE},{SABOTAGE}");
+    println!("{IMAGE} for {target}, profile {profile}, with a deliberate panic: does not link");
+    match run::quiet(&mut image(workspace, toolchain, "build", target, profile, &features), BUILD_LIMIT) {
+        Err(error) if error.to_string().contains(MISSING) => Ok(()),
+        Err(error) => Err(error.context("it failed, but not for the panic")),
+        Ok(()) => bail!("an image with a panic in it links with profile {profile}: the proof is void"),
+    }
 }
 
 /// The linter over the probes.
@@ -65,20 +72,21 @@ fn image(
     workspace: &Workspace,
     toolchain: &Toolchain,
     subcommand: &str,
+    target: &str,
     profile: &str,
     features: &str,
 ) -> Command {
-    let mut command = toolchain.cargo(workspace, subcommand);
+    let mut command = toolchain.cargo_for(workspace, subcommand, target);
     command.args(["--profile", profile, "--package", PACKAGE, "--bin", IMAGE, "--features", features]);
     command
 }
 
 /// Who calls what can panic: the image is linked all the same, with its relocations kept.
-fn callers(workspace: &Workspace, toolchain: &Toolchain, profile: &str) -> Result<String> {
-    let mut command = image(workspace, toolchain, "rustc", profile, FEATURE);
+fn callers(workspace: &Workspace, toolchain: &Toolchain, target: &str, profile: &str) -> Result<String> {
+    let mut command = image(workspace, toolchain, "rustc", target, profile, FEATURE);
     let arguments = ["-C", "link-arg=--unresolved-symbols=ignore-all", "-C", "link-arg=--emit-relocs"];
     run::quiet(command.arg("--").args(arguments), BUILD_LIMIT)?;
-    let path = workspace.target.join(TARGET).join(profile).join(IMAGE);
+    let path = workspace.target.join(target).join(profile).join(IMAGE);
     let file = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let calls = calls(&file)?;
     ensure!(!calls.is_empty(), "the callers cannot be told; the image is {}", path.display());

@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use crate::progress::shown;
+use crate::setup::TARGETS;
 use crate::workspace::Workspace;
 use crate::{agreement, bench, firmware, fuzz, miri, msrv, portable, probe, run, setup};
 
@@ -24,6 +25,8 @@ const SLOWEST: usize = 5;
 
 /// The crate that others take from a registry.
 const PROTOCOL: &str = "jointbus-protocol";
+/// The crate with the engine and its adapters.
+const BRIDGE: &str = "jointbus-mcu-bridge";
 
 /// One check.
 struct Step {
@@ -88,15 +91,22 @@ static STEPS: &[Step] = &[
         },
     },
     Step {
+        name: "parts",
+        seconds: 15,
+        about: "the library crates build for a Cortex-M0+, a Cortex-M4 and a Cortex-M33",
+        prepare: |workspace| setup::toolchain(workspace).map(drop),
+        run: parts,
+    },
+    Step {
         name: "panic-free",
-        seconds: 50,
+        seconds: 100,
         about: "nothing in the protocol crate can panic on the part, optimised for size or for speed",
         prepare: |workspace| setup::toolchain(workspace).map(drop),
         run: probe::panic_free,
     },
     Step {
         name: "emulator",
-        seconds: 10,
+        seconds: 130,
         about: "the emulator's plugin works in the oldest and the newest QEMU that it is made for",
         prepare: |workspace| setup::emulators(workspace).map(drop),
         run: emulators,
@@ -156,7 +166,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "bench",
-        seconds: 100,
+        seconds: 150,
         about: "every figure holds its limit",
         prepare: |workspace| {
             setup::components(workspace)?;
@@ -268,6 +278,16 @@ fn tests(workspace: &Workspace) -> Result<()> {
     emulator.tell(&mut command);
     command.env(IMAGE, image.elf).env(PLUGIN, emulator.plugin).env(PYTHON, python);
     run::shown(command.args(["test", "--workspace"]))
+}
+
+/// The library crates for every processor that they are made for.
+fn parts(workspace: &Workspace) -> Result<()> {
+    let toolchain = setup::toolchain(workspace)?;
+    for target in TARGETS {
+        let mut command = toolchain.cargo_for(workspace, "build", target);
+        run::shown(command.args(["--lib", "--package", PROTOCOL, "--package", BRIDGE]))?;
+    }
+    Ok(())
 }
 
 /// The tests that touch what releases of QEMU differ in, with each of them.

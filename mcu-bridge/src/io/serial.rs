@@ -2,7 +2,9 @@
 //!
 //! The place of the end of a transmission among the received bytes is kept, so that a reply is never taken for something
 //! that came before the request had left. The rings are no queues of a crate because an interrupt per byte is to be
-//! short: their length is a power of two and known when it is compiled, and all they need are atomic words.
+//! short: their length is a power of two and known when it is compiled, and all they need are words that are loaded and
+//! stored whole: a Cortex-M0+ has no other atomic operations. What the interrupt counts it alone writes; the main loop
+//! remembers how far it has seen the count.
 
 use crate::engine::Engine;
 use crate::engine::config::Port;
@@ -87,6 +89,7 @@ impl<const N: usize> Ring<N> {
 pub struct UartBuffers<const IN: usize = RX_CAPACITY> {
     incoming: Ring<IN>,
     shared: Shared,
+    seen: Seen,
 }
 
 /// What interrupt and main loop share beside the received bytes.
@@ -99,16 +102,49 @@ struct Shared {
     ended_at: AtomicU32,
     /// A transmission ended since the main loop looked last.
     ended: AtomicBool,
-    /// Bytes were lost since the main loop looked last.
-    overrun: AtomicBool,
-    /// The transmitter has taken a byte, or finished, since the main loop looked last.
-    advanced: AtomicBool,
+    /// Times that bytes were lost.
+    overruns: Count,
+    /// Times that the transmitter has taken a byte, or finished.
+    progress: Count,
     /// It has something to send, or has not finished.
     sending: AtomicBool,
     /// For the interrupt alone: a byte is on the wire, or will be.
     driving: AtomicBool,
-    /// Characters with errors since the main loop looked last.
-    errors: AtomicU32,
+    /// Characters with errors.
+    errors: Count,
+}
+
+/// A count that the interrupt alone changes. It wraps around; the main loop compares.
+#[derive(Debug)]
+struct Count(AtomicU32);
+
+impl Count {
+    const fn new() -> Self {
+        Self(AtomicU32::new(0))
+    }
+
+    #[inline(always)]
+    fn increment(&self) {
+        self.0.store(self.0.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+    }
+
+    /// How many there are more than `seen`, which is brought up to date.
+    fn more_than(&self, seen: &mut u32) -> u32 {
+        let now = self.0.load(Ordering::Relaxed);
+        now.wrapping_sub(core::mem::replace(seen, now))
+    }
+
+    fn is(&self, seen: u32) -> bool {
+        self.0.load(Ordering::Relaxed) == seen
+    }
+}
+
+/// How far the main loop has seen each [`Count`].
+#[derive(Debug)]
+struct Seen {
+    overruns: u32,
+    progress: u32,
+    errors: u32,
 }
 
 impl<const IN: usize> UartBuffers<IN> {
@@ -120,21 +156,21 @@ impl<const IN: usize> UartBuffers<IN> {
             last_byte: AtomicU32::new(0),
             ended_at: AtomicU32::new(0),
             ended: AtomicBool::new(false),
-            overrun: AtomicBool::new(false),
-            advanced: AtomicBool::new(false),
+            overruns: Count::new(),
+            progress: Count::new(),
             sending: AtomicBool::new(false),
             driving: AtomicBool::new(false),
-            errors: AtomicU32::new(0),
+            errors: Count::new(),
         };
-        Self { incoming: Ring::new(), shared }
+        Self { incoming: Ring::new(), shared, seen: Seen { overruns: 0, progress: 0, errors: 0 } }
     }
 
     /// The interrupt's end and the main loop's end.
     pub fn split(&mut self) -> (IsrHalf<'_, IN>, MainHalf<'_>) {
-        let Self { incoming, shared } = self;
+        let Self { incoming, shared, seen } = self;
         (
             IsrHalf { incoming, transmitter: TransmitterSide { ends: &incoming.ends, shared } },
-            MainHalf { bytes: &incoming.bytes, ends: &incoming.ends, shared },
+            MainHalf { bytes: &incoming.bytes, ends: &incoming.ends, shared, seen },
         )
     }
 }
@@ -159,7 +195,7 @@ impl<const IN: usize> IsrHalf<'_, IN> {
         let shared = self.transmitter.shared;
         shared.last_byte.store(micros, Ordering::Relaxed);
         if !self.incoming.put(byte) {
-            shared.overrun.store(true, Ordering::Relaxed);
+            shared.overruns.increment();
         }
     }
 
@@ -187,7 +223,7 @@ impl TransmitterSide<'_> {
     /// The last stop bit has left and the driver is off.
     pub fn transmitted(&mut self) {
         let shared = self.shared;
-        shared.advanced.store(true, Ordering::Relaxed);
+        shared.progress.increment();
         shared.sending.store(false, Ordering::Relaxed);
         shared.ended_at.store(self.ends.put.load(Ordering::Relaxed), Ordering::Relaxed);
         shared.ended.store(true, Ordering::Release);
@@ -203,12 +239,12 @@ impl TransmitterSide<'_> {
 
     /// There was noise on the line, or something else wrong with a byte.
     pub fn noise_error(&mut self) {
-        self.shared.errors.fetch_add(1, Ordering::Relaxed);
+        self.shared.errors.increment();
     }
 
     /// The port lost bytes.
     pub fn overrun(&mut self) {
-        self.shared.overrun.store(true, Ordering::Relaxed);
+        self.shared.overruns.increment();
     }
 
     /// Whether a byte is on the wire, or will be.
@@ -232,7 +268,7 @@ impl TransmitterSide<'_> {
     /// The next byte to send.
     pub fn next_byte(&mut self) -> Option<u8> {
         let byte = self.shared.outgoing.take()?;
-        self.shared.advanced.store(true, Ordering::Relaxed);
+        self.shared.progress.increment();
         Some(byte)
     }
 
@@ -249,6 +285,7 @@ pub struct MainHalf<'a> {
     bytes: &'a [AtomicU8],
     ends: &'a Ends,
     shared: &'a Shared,
+    seen: &'a mut Seen,
 }
 
 impl MainHalf<'_> {
@@ -260,7 +297,7 @@ impl MainHalf<'_> {
 
     /// Whether the interrupt has noticed nothing wrong.
     fn is_well(&self) -> bool {
-        self.shared.errors.load(Ordering::Relaxed) == 0 && !self.shared.overrun.load(Ordering::Relaxed)
+        self.shared.errors.is(self.seen.errors) && self.shared.overruns.is(self.seen.overruns)
     }
 
     /// Whether the last stop bit of all that was to be sent has left.
@@ -271,7 +308,7 @@ impl MainHalf<'_> {
 
     /// Whether nothing is to be sent, or the transmitter has advanced since this was asked last.
     pub fn made_progress(&mut self) -> bool {
-        self.is_quiet() || self.shared.advanced.swap(false, Ordering::Relaxed)
+        self.is_quiet() || self.shared.progress.more_than(&mut self.seen.progress) > 0
     }
 
     /// Carries what came in to the engine.
@@ -284,10 +321,10 @@ impl MainHalf<'_> {
 
     #[inline(never)]
     fn carry_all_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
-        for _ in 0..self.shared.errors.swap(0, Ordering::Relaxed) {
+        for _ in 0..self.shared.errors.more_than(&mut self.seen.errors) {
             engine.receive_error(port);
         }
-        if self.shared.overrun.swap(false, Ordering::Relaxed) {
+        if self.shared.overruns.more_than(&mut self.seen.overruns) > 0 {
             engine.overrun(port);
         }
         // what comes from here on waits for the next turn, so that a babbling line cannot keep the main loop here

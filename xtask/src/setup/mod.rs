@@ -23,7 +23,7 @@ use std::sync::OnceLock;
 use anyhow::Result;
 
 pub(crate) use self::libmodbus::Libmodbus;
-pub(crate) use self::target::{TARGET, Toolchain};
+pub(crate) use self::target::{TARGET, TARGETS, Toolchain};
 use self::toolbox::Toolbox;
 use crate::emulate;
 use crate::workspace::Workspace;

@@ -19,6 +19,10 @@ use crate::workspace::Workspace;
 /// What the STM32F405 is to the compiler: a Cortex-M4 with its floating-point unit.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
 
+/// The processors that the library crates are built for: that one, the smallest (a Cortex-M0+, without atomic operations
+/// beyond loads and stores), and one of the newer ones (a Cortex-M33).
+pub(crate) const TARGETS: [&str; 3] = [TARGET, "thumbv6m-none-eabi", "thumbv8m.main-none-eabihf"];
+
 /// Forces one of the two ways: `rustup` or `debian`.
 const CHOICE: &str = "JOINTBUS_TOOLCHAIN";
 
@@ -49,8 +53,8 @@ const FOREIGN: [&str; 9] = [
 const SYSTEM: &str = "/";
 
 const ADVICE: Advice = Advice {
-    what: "a Rust toolchain for thumbv7em-none-eabihf",
-    purpose: "the image (with rustup, on any system: rustup target add thumbv7em-none-eabihf)",
+    what: "a Rust toolchain for thumbv7em-none-eabihf, thumbv6m-none-eabi and thumbv8m.main-none-eabihf",
+    purpose: "the image and the library crates (with rustup: rustup target add, with each target)",
     debian: "sudo apt-get install rustc-web cargo-web rust-web-src rust-web-clippy lld",
     fedora: "sudo dnf install rustup, then rustup-init",
     arch: "sudo pacman -S rustup",
@@ -74,12 +78,17 @@ pub(crate) enum Toolchain {
 }
 
 impl Toolchain {
-    /// `cargo SUBCOMMAND` for the microcontroller, still without packages and features.
+    /// `cargo SUBCOMMAND` for the STM32F405, still without packages and features.
     pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
+        self.cargo_for(workspace, subcommand, TARGET)
+    }
+
+    /// The same for one of [`TARGETS`].
+    pub(crate) fn cargo_for(&self, workspace: &Workspace, subcommand: &str, target: &str) -> Command {
         match self {
             Self::Rustup => {
                 let mut command = workspace.cargo();
-                command.args([subcommand, "--target", TARGET]);
+                command.args([subcommand, "--target", target]);
                 command
             }
             Self::Debian(root) => {
@@ -87,8 +96,8 @@ impl Toolchain {
                 command
                     // Building the core library is an unstable option; the compiler and the source are one release.
                     .env("RUSTC_BOOTSTRAP", "1")
-                    .env(linker_variable(TARGET), DEBIAN_LINKER)
-                    .args([subcommand, "-Zbuild-std=core", "--target", TARGET]);
+                    .env(linker_variable(target), DEBIAN_LINKER)
+                    .args([subcommand, "-Zbuild-std=core", "--target", target]);
                 command
             }
         }
@@ -150,17 +159,19 @@ fn allowed(choice: Option<&str>) -> Result<&'static [Way]> {
     }
 }
 
-/// Whether the running toolchain has the core library of the target.
+/// Whether the running toolchain has the core libraries of the targets.
 fn rustup_ready(workspace: &Workspace) -> Result<()> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let mut command = workspace.command(rustc);
-    let printed = run::output(command.args(["--print", "target-libdir", "--target", TARGET]))?;
-    let folder = Path::new(printed.trim());
-    let has_core = fs::read_dir(folder).is_ok_and(|entries| {
-        entries.flatten().any(|entry| is_core_library(&entry.file_name().to_string_lossy()))
-    });
-    if !has_core {
-        bail!("no core library in {}", folder.display());
+    for target in TARGETS {
+        let mut command = workspace.command(&rustc);
+        let printed = run::output(command.args(["--print", "target-libdir", "--target", target]))?;
+        let folder = Path::new(printed.trim());
+        let has_core = fs::read_dir(folder).is_ok_and(|entries| {
+            entries.flatten().any(|entry| is_core_library(&entry.file_name().to_string_lossy()))
+        });
+        if !has_core {
+            bail!("no core library in {}", folder.display());
+        }
     }
     Ok(())
 }
@@ -169,9 +180,9 @@ fn install_rustup(workspace: &Workspace) -> Result<Toolchain> {
     if run::find("rustup").is_none() {
         bail!("rustup is not installed");
     }
-    println!("setup: adding the target {TARGET} with rustup");
-    run::quiet(workspace.command("rustup").args(["target", "add", TARGET]), RUSTUP_LIMIT)
-        .context("rustup cannot add the target")?;
+    println!("setup: adding the targets {} with rustup", TARGETS.join(", "));
+    run::quiet(workspace.command("rustup").args(["target", "add"]).args(TARGETS), RUSTUP_LIMIT)
+        .context("rustup cannot add the targets")?;
     rustup_ready(workspace).context("rustup added the target to another toolchain than the running one")?;
     Ok(Toolchain::Rustup)
 }
