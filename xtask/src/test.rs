@@ -179,7 +179,7 @@ static STEPS: &[Step] = &[
     },
     Step {
         name: "miri",
-        seconds: 60,
+        seconds: 240,
         about: "the protocol crate's unit tests have no undefined behaviour",
         prepare: setup::nightly::miri,
         run: miri::miri,
