@@ -171,14 +171,31 @@ impl Limits {
     }
 }
 
+/// Sets the silence that ends a burst from the host. Until it is set, a machine that is busy otherwise may pause inside a
+/// request for longer than the former silence; the bridge drops such a request, so it is sent again.
+fn set_burst_silence<S: Read + Write>(client: &mut Client<S>, silence_100us: u16) -> Result<(), Error> {
+    const ASK_AGAIN: Duration = Duration::from_secs(1);
+    let patience = client.timeout();
+    let deadline = Instant::now() + patience;
+    client.set_timeout(patience.min(ASK_AGAIN));
+    let result = loop {
+        match client.modbus(UNIT).write_registers(BURST_SILENCE, &[silence_100us]) {
+            Err(Error::Timeout) if Instant::now() < deadline => {}
+            result => break result,
+        }
+    };
+    client.set_timeout(patience);
+    result
+}
+
 /// Puts new limits into force, confirmed.
 ///
 /// # Errors
 /// [`Error`]; [`Error::Answer`] where they were not confirmed in time, however often it was tried.
 pub fn set_limits<S: Read + Write>(client: &mut Client<S>, limits: &Limits) -> Result<(), Error> {
     const TRIES: usize = 5;
+    set_burst_silence(client, limits.burst_silence_100us)?;
     let mut own = client.modbus(UNIT);
-    own.write_registers(BURST_SILENCE, &[limits.burst_silence_100us])?;
     let times = [
         limits.read_ms,
         limits.write_ms,
@@ -202,4 +219,54 @@ pub fn set_limits<S: Read + Write>(client: &mut Client<S>, limits: &Limits) -> R
         }
     }
     Err(Error::Answer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use jointbus_protocol::checksum::crc16;
+    use std::io;
+
+    /// A bridge that drops the first request and answers the others as writes of registers.
+    #[derive(Default)]
+    struct Deaf {
+        requests: usize,
+        answer: Vec<u8>,
+    }
+
+    impl Write for Deaf {
+        fn write(&mut self, request: &[u8]) -> io::Result<usize> {
+            self.requests += 1;
+            if self.requests > 1 {
+                let content = request.get(..6).unwrap_or_default();
+                self.answer = [content, &crc16(content).to_le_bytes()].concat();
+            }
+            Ok(request.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Read for Deaf {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            if self.answer.is_empty() {
+                std::thread::sleep(Duration::from_millis(10));
+                return Err(io::ErrorKind::WouldBlock.into());
+            }
+            let length = self.answer.len().min(buffer.len());
+            buffer[..length].copy_from_slice(&self.answer[..length]);
+            self.answer.drain(..length);
+            Ok(length)
+        }
+    }
+
+    #[test]
+    fn a_request_that_the_bridge_has_dropped_is_sent_again() {
+        let patience = Duration::from_secs(60);
+        let mut client = Client::new(Deaf::default(), patience);
+        set_burst_silence(&mut client, 1000).unwrap();
+        assert_eq!(client.timeout(), patience);
+    }
 }

@@ -101,6 +101,12 @@ impl<S: Read + Write> Client<S> {
         Self { stream, timeout, disturbed: false }
     }
 
+    /// The time that a device has to answer.
+    #[must_use]
+    pub const fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
     /// Changes the time that each answer may take.
     pub const fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
