@@ -95,7 +95,7 @@ struct State {
     watchdog: bool,
     /// Whether there is a CAN controller.
     has_can: bool,
-    /// Whether QEMU is to end after the self-test.
+    /// QEMU ends after the self-test.
     self_test_only: bool,
     /// USART2 and USART3.
     serial: [SerialState; 2],

@@ -9,7 +9,7 @@ pub(super) struct Options {
     pub(super) crystal: bool,
     /// Whether there is a CAN controller.
     pub(super) can: bool,
-    /// Whether QEMU is to end after the self-test, with success where it has passed.
+    /// QEMU ends after the self-test, with success where it has passed.
     pub(super) self_test_only: bool,
     /// Whether the independent watchdog bites.
     pub(super) watchdog: bool,

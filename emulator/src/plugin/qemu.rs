@@ -116,7 +116,7 @@ pub(super) fn opaque_structure() -> Pointer {
     Box::leak(Box::new([0_u128; 256])).as_mut_ptr().cast()
 }
 
-/// Whether the running process exports a symbol.
+/// Returns true if the running process exports a symbol.
 pub(super) fn exports(name: &CStr) -> bool {
     // SAFETY: the name is a C string; dlsym has no other requirement.
     !unsafe { libc::dlsym(libc::RTLD_DEFAULT, name.as_ptr()) }.is_null()
@@ -244,6 +244,6 @@ functions! {
     fn qdev_get_clock_in(device: Pointer, name: *const c_char) -> Pointer;
     /// The frequency of a clock as text, such as `168 MHz`; to be freed by the caller.
     fn clock_display_freq(clock: Pointer) -> *mut c_char;
-    /// Whether a timer is set.
+    /// Returns true while a timer is set.
     fn timer_pending(timer: Pointer) -> bool;
 }

@@ -85,7 +85,7 @@ fn main() -> Result<ExitCode> {
     Ok(if right { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// What has answered.
+/// Names what has answered.
 fn origin(bridge: &Bridge, image: Option<&Path>) -> String {
     match bridge {
         #[cfg(unix)]
