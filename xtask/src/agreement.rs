@@ -7,6 +7,9 @@ use crate::run;
 use crate::setup;
 use crate::workspace::Workspace;
 
+/// A workspace of its own.
+const MANIFEST: &str = "checks/agreement/Cargo.toml";
+
 /// Requests in a test run: some seconds.
 const BRIEF: u64 = 200_000;
 
@@ -32,7 +35,7 @@ pub(crate) fn agree(workspace: &Workspace, extent: &Extent) -> Result<()> {
     let mut command = workspace.cargo();
     libmodbus.tell(&mut command);
     command
-        .args(["run", "--quiet", "--release", "--manifest-path", "agreement/Cargo.toml", "--target-dir"])
+        .args(["run", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"])
         .arg(workspace.target.join("agreement"))
         .args(["--", &extent.requests.to_string()]);
     if let Some(seed) = extent.seed {
@@ -45,7 +48,7 @@ pub(crate) fn agree(workspace: &Workspace, extent: &Extent) -> Result<()> {
 pub(crate) fn clippy(workspace: &Workspace) -> Result<()> {
     let mut command = workspace.cargo();
     command
-        .args(["clippy", "--quiet", "--release", "--manifest-path", "agreement/Cargo.toml", "--target-dir"])
+        .args(["clippy", "--quiet", "--release", "--manifest-path", MANIFEST, "--target-dir"])
         .arg(workspace.target.join("agreement"));
     run::shown(command.args(["--", "-D", "warnings"]))
 }

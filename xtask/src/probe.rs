@@ -1,4 +1,4 @@
-//! The image of `probe/`: it links only while nothing in the protocol crate can panic.
+//! The image of `checks/probe/`: it links only while nothing in the protocol crate can panic.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -126,12 +126,16 @@ fn panics(mangled: &str) -> bool {
 /// Every public function of the protocol crate is at least named in the probe: one that is added is not forgotten.
 fn every_function_is_probed(workspace: &Workspace) -> Result<()> {
     let mut probe = String::new();
-    each_source(&workspace.root.join("probe").join("src"), &mut |text| probe.push_str(text))?;
+    each_source(&workspace.root.join("checks/probe/src"), &mut |text| probe.push_str(text))?;
     let mut functions = BTreeSet::new();
     each_source(&workspace.root.join("protocol").join("src"), &mut |text| functions.extend(public(text)))?;
     let words: BTreeSet<_> = words(&probe).collect();
     let missing: Vec<_> = functions.iter().map(String::as_str).filter(|name| !words.contains(name)).collect();
-    ensure!(missing.is_empty(), "probe/ never calls these functions of protocol/: {}", missing.join(", "));
+    ensure!(
+        missing.is_empty(),
+        "checks/probe/ never calls these functions of protocol/: {}",
+        missing.join(", ")
+    );
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! The benchmark: what is measured, shown beside what others have, and held to limits.
 //!
-//! Everything in `bench/`, a workspace of its own. No figure depends on how fast this machine is: sizes, counted
+//! Everything in `checks/bench/`, a workspace of its own. No figure depends on how fast this machine is: sizes, counted
 //! instructions, virtual time.
 
 mod bridge;
@@ -24,7 +24,7 @@ use crate::workspace::Workspace;
 use crate::{run, setup};
 
 /// The workspace of the benchmark.
-const MANIFEST: &str = "bench/Cargo.toml";
+const MANIFEST: &str = "checks/bench/Cargo.toml";
 
 /// The page with the tables.
 const PAGE: &str = "BENCHMARKS.md";

@@ -1,4 +1,5 @@
-//! The fuzz targets of `fuzz/`: built with the fuzzer, run beside each other for a time that they share, and counted.
+//! The fuzz targets of `checks/fuzz/`: built with the fuzzer, run beside each other for a time that they share, and
+//! counted.
 
 mod seeds;
 
@@ -15,6 +16,9 @@ use clap::Args;
 use crate::run;
 use crate::setup::nightly;
 use crate::workspace::Workspace;
+
+/// The workspace of the targets.
+const FOLDER: &str = "checks/fuzz";
 
 /// No input is longer, in bytes: some dozen frames.
 const LENGTH_MAX: usize = 2048;
@@ -93,9 +97,14 @@ fn share(total: Duration, targets: usize, jobs: usize) -> Duration {
     (total / u32::try_from(rounds).unwrap_or(u32::MAX)).max(Duration::from_secs(1))
 }
 
+/// Where the targets and their seeds are.
+fn folder(workspace: &Workspace) -> PathBuf {
+    workspace.root.join(FOLDER)
+}
+
 /// The names of all targets: their files.
 fn targets(workspace: &Workspace) -> Result<Vec<String>> {
-    let folder = workspace.root.join("fuzz").join("fuzz_targets");
+    let folder = folder(workspace).join("fuzz_targets");
     let entries = fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut names = Vec::new();
     for entry in entries {
@@ -121,12 +130,11 @@ fn build(workspace: &Workspace) -> Result<Folders> {
     // A folder of its own: the instrumented builds would otherwise take turns with the others.
     let target = workspace.target.join("fuzz");
     let mut command = nightly::cargo(workspace, "fuzz");
-    command.args(["build", "--fuzz-dir", "fuzz", "--target-dir"]).arg(&target);
+    command.args(["build", "--fuzz-dir", FOLDER, "--target-dir"]).arg(&target);
     run::shown(&mut command)?;
-    let fuzz = workspace.root.join("fuzz");
     Ok(Folders {
-        seeds: fuzz.join("seeds"),
-        artifacts: fuzz.join("artifacts"),
+        seeds: seeds::folder(workspace),
+        artifacts: folder(workspace).join("artifacts"),
         corpus: target.join("corpus"),
         logs: target.join("logs"),
         programs: target.join(nightly::host(workspace)?).join("release"),
@@ -225,7 +233,7 @@ mod tests {
     #[test]
     fn every_target_has_a_program() {
         let workspace = Workspace::locate().unwrap();
-        let manifest = fs::read_to_string(workspace.root.join("fuzz/Cargo.toml")).unwrap();
+        let manifest = fs::read_to_string(folder(&workspace).join("Cargo.toml")).unwrap();
         for target in targets(&workspace).unwrap() {
             assert!(manifest.contains(&format!("path = \"fuzz_targets/{target}.rs\"")), "{target}");
         }

@@ -1,5 +1,5 @@
 //! What the fuzz targets start from: the frames of the manuals, and what has broken Modbus libraries before. They are
-//! written to `fuzz/seeds/` by `cargo xtask fuzz --write-seeds`, in the form that each target reads.
+//! written to `checks/fuzz/seeds/` by `cargo xtask fuzz --write-seeds`, in the form that each target reads.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 
 use crate::workspace::Workspace;
 
-/// A seed's place below `fuzz/seeds/`, and its bytes.
+/// A seed's place below `checks/fuzz/seeds/`, and its bytes.
 type Seeds = BTreeMap<PathBuf, Vec<u8>>;
 
 /// One frame of a manual.
@@ -37,9 +37,14 @@ const FAULTS: [(&str, &[u8]); 9] = [
 /// Layouts of the three modules in `ndam_station`: inputs, outputs, both digital and analog.
 const LAYOUTS: [u8; 12] = [14, 10, 8, 4, 4, 4, 0, 0, 16, 16, 16, 16];
 
+/// Where they are.
+pub(super) fn folder(workspace: &Workspace) -> PathBuf {
+    super::folder(workspace).join("seeds")
+}
+
 /// Writes all seeds.
 pub(super) fn write(workspace: &Workspace) -> Result<()> {
-    let folder = workspace.root.join("fuzz").join("seeds");
+    let folder = folder(workspace);
     for (path, bytes) in seeds(workspace)? {
         let path = folder.join(path);
         let parent = path.parent().context("a seed lies in a folder")?;
@@ -171,10 +176,10 @@ mod tests {
     #[test]
     fn the_seeds_are_those_of_the_manuals() {
         let workspace = Workspace::locate().unwrap();
-        let seeds = seeds(&workspace).unwrap();
+        let (seeds, folder) = (seeds(&workspace).unwrap(), folder(&workspace));
         assert!(seeds.values().map(Vec::len).sum::<usize>() < 100 * 1024);
         for (path, bytes) in seeds {
-            let kept = fs::read(workspace.root.join("fuzz/seeds").join(&path)).unwrap_or_default();
+            let kept = fs::read(folder.join(&path)).unwrap_or_default();
             assert!(kept == bytes, "{}: cargo xtask fuzz --write-seeds", path.display());
         }
     }
