@@ -1,8 +1,8 @@
 //! The simulated devices and the client against each other, in memory and in virtual time.
 
-use jointbus_host_tests::client::{Client, Error};
-use jointbus_host_tests::devices::loopback::{Loopback, transfer};
-use jointbus_host_tests::devices::{Motion, NdamLine, NstCan, NstSerial, PROMPT, SerialLine, motion};
+use jointbus::client::{Client, Error};
+use jointbus::devices::loopback::{Loopback, transfer};
+use jointbus::devices::{Motion, NdamLine, NstCan, NstSerial, PROMPT, SerialLine, motion};
 use jointbus_protocol::modbus::{ExceptionCode, FunctionCode, Request, Response};
 use jointbus_protocol::ndam9010::Layout;
 use jointbus_protocol::nst::register::{ADDRESS, DATA, MODEL};

@@ -5,7 +5,7 @@
 #![cfg(unix)]
 
 use anyhow::{Context, Result, ensure};
-use jointbus_host_tests::emulator::{Capture, Emulator, Options, Port};
+use jointbus::emulator::{Capture, Emulator, Options, Port};
 use std::path::PathBuf;
 use std::time::Duration;
 

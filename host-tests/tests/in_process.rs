@@ -1,9 +1,9 @@
 //! The bench with the engine in this process: every kind of question through the bridge to a device and back, the
 //! share, and devices that come and go.
 
-use jointbus_host_tests::bench::{Bench, CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
-use jointbus_host_tests::bridge::{self, Limits, port};
-use jointbus_host_tests::client::{self, Client, Error};
+use jointbus::bench::{Bench, CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
+use jointbus::bridge::{self, Limits, port};
+use jointbus::client::{self, Client, Error};
 use jointbus_protocol::modbus::ExceptionCode;
 use jointbus_protocol::nst::Sample;
 use std::io::{Read, Write};
@@ -21,7 +21,7 @@ fn every_device_answers_through_the_bridge() {
         let on_can = client.nst(CAN_UNIT).sample().unwrap();
         let on_serial = client.nst(RS485_A_UNIT).sample().unwrap();
         let end = bench.clock().now();
-        let told = |log: &jointbus_host_tests::devices::Log<Sample>, sample| {
+        let told = |log: &jointbus::devices::Log<Sample>, sample| {
             log.between(start, end).any(|(_, told)| *told == sample)
         };
         assert!(told(bench.can.lock().sensor(1).unwrap().told(), on_can));
@@ -32,7 +32,7 @@ fn every_device_answers_through_the_bridge() {
     client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1]).unwrap();
     assert_eq!(client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap(), [2.5f32.to_bits(), 1]);
     let about = bridge::about(&mut client).unwrap();
-    assert_eq!((about.map_version, about.version), (bridge::MAP_VERSION, jointbus_host_tests::version()));
+    assert_eq!((about.map_version, about.version), (bridge::MAP_VERSION, jointbus::version()));
     let on_can = bridge::counters(&mut client, port::CAN).unwrap();
     assert!(on_can.received >= 20 && on_can.timeouts == 0, "{on_can:?}");
 }

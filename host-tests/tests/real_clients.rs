@@ -4,12 +4,12 @@
 
 mod common;
 
-use jointbus_host_tests::bench::LAYOUT;
-use jointbus_host_tests::bridge::{self, Limits};
-use jointbus_host_tests::client::{self, Client};
-use jointbus_host_tests::clock::Clock;
-use jointbus_host_tests::devices::attach::{self, Attached};
-use jointbus_host_tests::devices::{NdamLine, PATIENT};
+use jointbus::bench::LAYOUT;
+use jointbus::bridge::{self, Limits};
+use jointbus::client::{self, Client};
+use jointbus::clock::Clock;
+use jointbus::devices::attach::{self, Attached};
+use jointbus::devices::{NdamLine, PATIENT};
 use jointbus_protocol::nst::{Sample, SignEncoding};
 use jointbus_protocol::time::Instant;
 use std::io::{BufRead, BufReader, Read};

@@ -41,10 +41,10 @@ struct Arguments {
 #[cfg(unix)]
 fn main() -> Result<()> {
     use anyhow::Context;
-    use jointbus_host_tests::bench::START;
-    use jointbus_host_tests::bridge;
-    use jointbus_host_tests::client::{self, Client};
-    use jointbus_host_tests::emulator::{Emulator, Endpoint, Options, Port};
+    use jointbus::bench::START;
+    use jointbus::bridge;
+    use jointbus::client::{self, Client};
+    use jointbus::emulator::{Emulator, Endpoint, Options, Port};
     use std::sync::mpsc::{RecvTimeoutError, channel};
     use std::time::{Duration, Instant};
 

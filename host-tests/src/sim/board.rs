@@ -64,7 +64,7 @@ impl<'q> Board<'q> {
         queues: &'q mut [UartBuffers; 3],
         now: Instant,
     ) -> (Self, [Uart<'q>; 3]) {
-        let identity = Identity { version: crate::version(), reset_cause: ResetCause::PowerOn };
+        let identity = Identity { version: jointbus::version(), reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(identity, now);
         let Settings { network, limits, .. } = *settings;
         engine.restore(&engine::Settings { network, limits, ..engine::Settings::default() }, now);

@@ -7,7 +7,7 @@ use super::question::{Fit, Question};
 use super::station::SerialDevice;
 use super::tally::Tally;
 use super::world::World;
-use crate::devices::Order;
+use jointbus::devices::Order;
 use jointbus_mcu_bridge::engine::config::{Port, Protocol, Route, Topology};
 use jointbus_protocol::checksum;
 use jointbus_protocol::time::Instant;

@@ -11,7 +11,7 @@
 //! | the CAN bus | frames at their stuffed length with intermission; arbitration by identifier, acknowledgement, error frames and retransmission, transmit errors up to error passive and bus-off, 128 times 11 recessive bits out of it |
 //! | the controller | three mailboxes in the order of the requests, abort, the acceptance filter |
 //! | the firmware | the queues between interrupts and main loop (its own code), the main loop's order, its latency, its tick of 100 us |
-//! | devices | those of [`devices`](crate::devices), with reply times from a distribution and with bad habits |
+//! | devices | those of [`devices`](jointbus::devices), with reply times from a distribution and with bad habits |
 //! | faults | [`Fault`], each kind by name |
 //!
 //! Not simulated: single bits and noise margins (a random byte lacks its stop bit at random), receive FIFO of the

@@ -286,7 +286,7 @@ impl Question {
                 let sample =
                     axes.first_chunk().map(|axes| Sample::decode(axes, SignEncoding::TwosComplement));
                 sample
-                    .and_then(|sample| crate::devices::motion::spelt_moment(&sample))
+                    .and_then(|sample| jointbus::devices::motion::spelt_moment(&sample))
                     .map_or(Fit::Wrong, Fit::At)
             }
             (Self::Pattern { register, length }, [0x03, count, data @ ..]) => {
@@ -348,7 +348,7 @@ fn is_coherent(registers: &[u8]) -> bool {
         registers.get(24..).unwrap_or(&[]).as_chunks::<4>().0.iter().map(|axis| i32::from_be_bytes(*axis));
     let mut sample = Sample::default();
     sample.0.iter_mut().zip(axes).for_each(|(place, axis)| *place = axis);
-    let measured = crate::devices::motion::spelt_moment(&sample).map(Instant::as_micros);
+    let measured = jointbus::devices::motion::spelt_moment(&sample).map(Instant::as_micros);
     match registers {
         [0, 0 | 1, ..] => stamp == 0,
         _ => measured.is_some_and(|measured| measured < stamp && stamp - measured < 1_000_000),

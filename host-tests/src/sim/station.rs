@@ -1,11 +1,11 @@
-//! The devices on the wires: those of [`devices`](crate::devices), with reply times and bad habits.
+//! The devices on the wires: those of [`devices`](jointbus::devices), with reply times and bad habits.
 
 use super::delay::Delay;
 use super::fault::Fault;
 use super::framing;
 use super::moment::{MILLIS, Moment, Nanos};
 use super::random::Random;
-use crate::devices::{
+use jointbus::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
 };
 use jointbus_protocol::can::{Frame, Id};

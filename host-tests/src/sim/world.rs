@@ -15,7 +15,7 @@ use super::random::Random;
 use super::recorder::{Interface, Recorder};
 use super::settings::Settings;
 use super::station::{CanStation, SerialStation};
-use crate::devices::Order;
+use jointbus::devices::Order;
 use jointbus_mcu_bridge::engine::Engine;
 use jointbus_mcu_bridge::engine::config::{self, Port, PortConfig};
 use jointbus_mcu_bridge::io::serial::UartBuffers;

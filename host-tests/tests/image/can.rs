@@ -1,7 +1,7 @@
 //! Faults of the CAN bus.
 
 use super::*;
-use jointbus_host_tests::client;
+use jointbus::client;
 
 #[test]
 fn a_can_frame_that_nobody_acknowledges_is_given_up_and_not_sent_later() {

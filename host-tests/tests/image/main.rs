@@ -13,10 +13,10 @@ mod replies;
 mod resets;
 mod settings;
 
-use jointbus_host_tests::bench::{Bench, Bridge, CAN_UNIT, RS485_A_UNIT, RS485_B_UNIT};
-use jointbus_host_tests::bridge::{self, Limits, port};
-use jointbus_host_tests::client::{Client, Error};
-use jointbus_host_tests::emulator::{Debugger, Emulator, Options, Port};
+use jointbus::bench::{Bench, Bridge, CAN_UNIT, RS485_A_UNIT, RS485_B_UNIT};
+use jointbus::bridge::{self, Limits, port};
+use jointbus::client::{Client, Error};
+use jointbus::emulator::{Debugger, Emulator, Options, Port};
 use jointbus_protocol::checksum::crc16;
 use jointbus_protocol::modbus::{ExceptionCode, Request, rtu};
 use std::io::{Read, Write};
@@ -58,7 +58,7 @@ impl Bare {
     fn start(limits: &Limits) -> Self {
         let emulator = Emulator::launch(&options()).unwrap();
         let stream = emulator.connect(Port::Usart1).unwrap();
-        jointbus_host_tests::client::prepare(&stream).unwrap();
+        jointbus::client::prepare(&stream).unwrap();
         let mut client = Client::new(stream, Duration::from_millis(500));
         bridge::wait(&mut client, PATIENCE).unwrap();
         client.set_timeout(PATIENCE);

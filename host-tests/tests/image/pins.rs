@@ -1,7 +1,7 @@
 //! What the board's pins do: driver enables, digital and analog inputs and outputs.
 
 use super::*;
-use jointbus_host_tests::bench::OUTPUTS_UNIT;
+use jointbus::bench::OUTPUTS_UNIT;
 
 /// Pins of the digital inputs and outputs in their order, and channels of the analog inputs.
 const INPUTS: [&str; 8] = ["PC0", "PC1", "PC2", "PC3", "PC4", "PC5", "PC8", "PC9"];

@@ -1,7 +1,7 @@
 //! Every port and unit of the board, in order and with parts of it missing.
 
 use super::*;
-use jointbus_host_tests::bench::OUTPUTS_UNIT;
+use jointbus::bench::OUTPUTS_UNIT;
 use jointbus_protocol::nst::Sample;
 use jointbus_protocol::time::Instant as Moment;
 use std::time::Instant;

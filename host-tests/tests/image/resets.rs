@@ -1,8 +1,8 @@
 //! Whatever stands still or faults leads to a reset that tells its cause.
 
 use super::*;
-use jointbus_host_tests::bench::OUTPUTS_UNIT;
-use jointbus_host_tests::clock::Clock;
+use jointbus::bench::OUTPUTS_UNIT;
+use jointbus::clock::Clock;
 
 #[test]
 fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {

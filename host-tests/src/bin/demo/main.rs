@@ -9,7 +9,7 @@ mod show;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser};
-use jointbus_host_tests::bench::{Bench, Bridge};
+use jointbus::bench::{Bench, Bridge};
 use poll::Poller;
 use show::Screen;
 use std::path::{Path, PathBuf};
@@ -112,7 +112,7 @@ fn boot(arguments: &BridgeArguments) -> Result<Bench> {
 #[cfg(unix)]
 fn emulated(image: &Path, plugin: &Path) -> Result<Bench> {
     println!("booting {} on the emulated STM32F405", image.display());
-    Bench::emulated(&jointbus_host_tests::emulator::Options::new(image, plugin))
+    Bench::emulated(&jointbus::emulator::Options::new(image, plugin))
 }
 
 #[cfg(not(unix))]

@@ -1,10 +1,10 @@
 //! Asks all units in turn and compares every answer with what the device said or was told.
 
-use jointbus_host_tests::bench::{Bench, CAN_UNIT, LAYOUT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
-use jointbus_host_tests::bridge::{self, port};
-use jointbus_host_tests::client::{Client, Error};
-use jointbus_host_tests::devices::{Inputs, Log};
-use jointbus_host_tests::share::{Share, Turn};
+use jointbus::bench::{Bench, CAN_UNIT, LAYOUT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
+use jointbus::bridge::{self, port};
+use jointbus::client::{Client, Error};
+use jointbus::devices::{Inputs, Log};
+use jointbus::share::{Share, Turn};
 use jointbus_protocol::nst::{AXES, Sample};
 use jointbus_protocol::time::Instant;
 use std::collections::BTreeMap;
@@ -240,7 +240,7 @@ impl<'b> Poller<'b> {
     fn own_unit(&mut self) {
         let unit = bridge::UNIT;
         if let Some((about, ..)) = self.ask(unit, bridge::about) {
-            let version = jointbus_host_tests::version();
+            let version = jointbus::version();
             self.expect(unit, about.map_version == bridge::MAP_VERSION, || {
                 format!("map version {}", about.map_version)
             });
@@ -307,7 +307,7 @@ impl<'b> Poller<'b> {
 /// Whether the sensor sent this sample during a span of time, and it lies on the motion at that moment.
 fn on_motion(
     log: &Log<Sample>,
-    motion: jointbus_host_tests::devices::Motion,
+    motion: jointbus::devices::Motion,
     sample: Sample,
     start: Instant,
     end: Instant,
@@ -318,7 +318,7 @@ fn on_motion(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use jointbus_host_tests::bridge::Limits;
+    use jointbus::bridge::Limits;
     use jointbus_protocol::nst::register::ZERO_POINTS;
 
     /// The outcome of two rounds with a bench that something was done to.

@@ -1,8 +1,8 @@
 //! The newest values on the screen: redrawn in place on a terminal, else as lines.
 
 use crate::poll::Readings;
-use jointbus_host_tests::bench::{CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
-use jointbus_host_tests::bridge;
+use jointbus::bench::{CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
+use jointbus::bridge;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 

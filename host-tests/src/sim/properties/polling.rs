@@ -1,13 +1,13 @@
 //! The bridge's own polling.
 
 use super::Found;
-use crate::devices::motion::spelt_moment;
 use crate::sim::delay::Delay;
 use crate::sim::fault::Fault;
 use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
 use crate::sim::run::{Manner, Plan, Run};
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
+use jointbus::devices::motion::spelt_moment;
 use jointbus_mcu_bridge::engine::Slot;
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::{Frame, Id};

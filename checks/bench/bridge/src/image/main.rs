@@ -15,8 +15,8 @@ use std::path::PathBuf;
 use std::thread;
 
 use anyhow::{Context, Result, anyhow, ensure};
-use jointbus_host_tests::bench::{Bench, CAN_UNIT, RS485_A_UNIT};
-use jointbus_host_tests::emulator::Options;
+use jointbus::bench::{Bench, CAN_UNIT, RS485_A_UNIT};
+use jointbus::emulator::Options;
 
 use crate::code::Code;
 use crate::trace::{Counts, Trace};

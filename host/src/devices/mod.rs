@@ -11,8 +11,9 @@
 //! documented function of that moment ([`motion`]), and each device keeps a [`Log`] of what it told, so that a reader
 //! at the far end can be checked value by value. Devices can be unplugged and plugged in again at any moment.
 //!
-//! Not simulated here: bit times, reply times (an answer comes at once), collisions; [`sim`](crate::sim) puts these
-//! devices on lines and a bus that have them. Not simulated at all: EtherCAT and Ethernet DAQs.
+//! Not simulated: bit times, reply times (an answer comes at once), collisions; the simulation in virtual time of the
+//! repository's `host-tests` puts these devices on lines and a bus that have them. Not simulated at all: EtherCAT and
+//! Ethernet DAQs.
 
 pub mod attach;
 mod log;
