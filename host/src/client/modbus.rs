@@ -19,16 +19,16 @@ impl<'c, S> Modbus<'c, S> {
 }
 
 impl<S: Read + Write> Modbus<'_, S> {
-    /// 0x01.
+    /// 0x01: reads 1 to 2000 coils from `start` on.
     ///
     /// # Errors
-    /// [`Error`]. So for every method here.
+    /// [`Error`]; [`Error::Exception`] where the unit refuses, a quantity out of range included. So for every method here.
     pub fn read_coils(&mut self, start: u16, quantity: u16) -> Result<Vec<bool>, Error> {
         let range = AddressRange::new(start, quantity);
         Ok(unpack(&self.read(&Request::ReadCoils(range))?, quantity))
     }
 
-    /// 0x02.
+    /// 0x02: reads 1 to 2000 discrete inputs from `start` on.
     ///
     /// # Errors
     /// [`Error`].
@@ -37,7 +37,7 @@ impl<S: Read + Write> Modbus<'_, S> {
         Ok(unpack(&self.read(&Request::ReadDiscreteInputs(range))?, quantity))
     }
 
-    /// 0x03.
+    /// 0x03: reads 1 to 125 holding registers from `start` on.
     ///
     /// # Errors
     /// [`Error`].
@@ -46,7 +46,7 @@ impl<S: Read + Write> Modbus<'_, S> {
         Ok(registers(&self.read(&Request::ReadHoldingRegisters(range))?).collect())
     }
 
-    /// 0x04.
+    /// 0x04: reads 1 to 125 input registers from `start` on.
     ///
     /// # Errors
     /// [`Error`].
@@ -55,7 +55,7 @@ impl<S: Read + Write> Modbus<'_, S> {
         Ok(registers(&self.read(&Request::ReadInputRegisters(range))?).collect())
     }
 
-    /// 0x05.
+    /// 0x05: writes one coil.
     ///
     /// # Errors
     /// [`Error`].
@@ -64,7 +64,7 @@ impl<S: Read + Write> Modbus<'_, S> {
         self.write(&Request::WriteSingleCoil { address, value })
     }
 
-    /// 0x06.
+    /// 0x06: writes one holding register.
     ///
     /// # Errors
     /// [`Error`].
@@ -72,10 +72,10 @@ impl<S: Read + Write> Modbus<'_, S> {
         self.write(&Request::WriteSingleRegister { address, value })
     }
 
-    /// 0x0F.
+    /// 0x0F: writes 1 to 1968 coils from `start` on.
     ///
     /// # Errors
-    /// [`Error`].
+    /// [`Error`]; [`Error::Question`] where the values fit no frame.
     pub fn write_coils(&mut self, start: u16, values: &[bool]) -> Result<(), Error> {
         let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
         let mut data = vec![0u8; packed_len(quantity)];
@@ -85,10 +85,10 @@ impl<S: Read + Write> Modbus<'_, S> {
         self.write(&Request::WriteMultipleCoils { range: AddressRange::new(start, quantity), data: &data })
     }
 
-    /// 0x10.
+    /// 0x10: writes 1 to 123 holding registers from `start` on.
     ///
     /// # Errors
-    /// [`Error`].
+    /// [`Error`]; [`Error::Question`] where the values fit no frame.
     pub fn write_registers(&mut self, start: u16, values: &[u16]) -> Result<(), Error> {
         let quantity = u16::try_from(values.len()).map_err(|_| Error::Question)?;
         let data: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
@@ -98,7 +98,7 @@ impl<S: Read + Write> Modbus<'_, S> {
         })
     }
 
-    /// 0x03 for values of two registers, low word first, as an NXI-6201 has them.
+    /// 0x03 for 1 to 62 values of two registers, low word first, as an NXI-6201 has them.
     ///
     /// # Errors
     /// [`Error`].
@@ -108,10 +108,10 @@ impl<S: Read + Write> Modbus<'_, S> {
         Ok(pairs.map(|[low, high]| u32::from(*high) << 16 | u32::from(*low)).collect())
     }
 
-    /// 0x10 for values of two registers, low word first, as an NXI-6201 has them.
+    /// 0x10 for 1 to 61 values of two registers, low word first, as an NXI-6201 has them.
     ///
     /// # Errors
-    /// [`Error`].
+    /// [`Error`]; [`Error::Question`] where the values fit no frame.
     pub fn write_values(&mut self, start: u16, values: &[u32]) -> Result<(), Error> {
         let words: Vec<u16> =
             values.iter().flat_map(|value| [(value & 0xFFFF) as u16, (value >> 16) as u16]).collect();

@@ -21,15 +21,16 @@ impl<'c, S> Nst<'c, S> {
 }
 
 impl<S: Read + Write> Nst<'_, S> {
-    /// 0x03: bytes of registers.
+    /// 0x03: reads 1 to 250 bytes of registers, from the byte address `register` on.
     ///
     /// # Errors
-    /// [`Error`]. So for every method here.
+    /// [`Error`]; [`Error::Timeout`] where the sensor refuses. So for every method here.
     pub fn read(&mut self, register: u16, length: u8) -> Result<Vec<u8>, Error> {
         self.data(&Request::read(register, length))
     }
 
-    /// 0x03: the six axes, in the units of the sensor's output mode.
+    /// 0x03: the six axes, forces before torques, in the units of the sensor's output mode: mN and mN.m where the sensor is
+    /// one of [`devices`](crate::devices).
     ///
     /// # Errors
     /// [`Error`].
@@ -40,10 +41,10 @@ impl<S: Read + Write> Nst<'_, S> {
         Ok(Sample::decode(bytes, SignEncoding::TwosComplement))
     }
 
-    /// 0x10: writes bytes of registers.
+    /// 0x10: writes 1 to 249 bytes of registers, from the byte address `register` on.
     ///
     /// # Errors
-    /// [`Error`].
+    /// [`Error`]; [`Error::Question`] where the bytes fit no frame.
     pub fn write(&mut self, register: u16, data: &[u8]) -> Result<(), Error> {
         self.acknowledged(&Request::Write { register, data })
     }

@@ -12,7 +12,7 @@ pub struct Inputs {
     pub unit: u8,
     /// Digital inputs, DI0 in bit 0; channels that the module lacks read 0 at the host.
     pub digital: u16,
-    /// Analog inputs from AI0.
+    /// Analog inputs from AI0, 0 to 65535 over the channel's range.
     pub analog: [u16; CHANNELS_MAX as usize],
 }
 
