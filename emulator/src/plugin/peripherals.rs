@@ -2,11 +2,13 @@
 //!
 //! What QEMU hands back as `opaque` is the index of the port or USART.
 
-use super::port::{Handlers, Port};
+use super::machine::{MACHINE, forget, overlay, qemu, resume, update};
+use super::part::Part;
+use super::port::{Handlers, Port, received};
 use super::qemu::{
     CHARDEV_CLOSED, CHARDEV_OPENED, CLOCK_VIRTUAL, Pointer, Qemu, RegionOps, SCALE_NS, opaque_structure,
 };
-use super::{MACHINE, Part, forget, overlay, qemu, received, resume, update, with};
+use super::state::with;
 use crate::{analog, counter, gpio, usart};
 use std::ffi::{CStr, c_int, c_uint};
 use std::ptr;

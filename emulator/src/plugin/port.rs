@@ -135,3 +135,11 @@ impl Port {
         self.output.lock().expect("no panic is survived")
     }
 }
+
+/// # Safety
+/// `bytes` must point to `length` bytes that stay as they are while the result is used.
+pub(super) unsafe fn received<'a>(bytes: *const u8, length: c_int) -> &'a [u8] {
+    let length = usize::try_from(length).unwrap_or(0);
+    // SAFETY: the caller says so.
+    if length == 0 { &[] } else { unsafe { std::slice::from_raw_parts(bytes, length) } }
+}

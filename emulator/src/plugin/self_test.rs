@@ -4,11 +4,12 @@
 //! Releases of QEMU differ in what the plugin builds on. One that differs too much is found here, not by firmware that
 //! behaves strangely.
 
+use super::complain;
+use super::machine::{CAN1_INTERRUPTS, Machine, update};
+use super::peripherals::USART_INTERRUPTS;
 use super::qemu::{Inspection, Qemu};
-use super::{
-    CAN1_BASE, CAN1_INTERRUPTS, Machine, RCC_BASE, State, complain, peripherals::USART_INTERRUPTS, tick,
-    update, with,
-};
+use super::state::{State, with};
+use super::system::{CAN1_BASE, RCC_BASE, tick};
 use std::ffi::{CStr, c_int};
 use std::fmt;
 use std::ptr;
