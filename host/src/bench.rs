@@ -18,7 +18,8 @@ use crate::emulator::{self, Emulator};
 use crate::in_process::InProcess;
 use crate::share::Share;
 use anyhow::{Context, Result, anyhow};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_A, RS485_B};
 use jointbus_protocol::ndam9010::Layout;
 use std::net::TcpStream;
 use std::time::Duration;
@@ -66,10 +67,11 @@ impl Bridge {
         match self {
             #[cfg(unix)]
             Self::Emulated(emulator) => emulator.connect(match port {
-                Port::Host => emulator::Port::Usart1,
-                Port::Rs485A => emulator::Port::Usart2,
-                Port::Rs485B => emulator::Port::Usart3,
-                Port::Can => emulator::Port::Can,
+                Port::HOST => emulator::Port::Usart1,
+                RS485_A => emulator::Port::Usart2,
+                RS485_B => emulator::Port::Usart3,
+                CAN => emulator::Port::Can,
+                _ => anyhow::bail!("the emulated board does not have {port:?}"),
             }),
             Self::InProcess(engine) => engine.connect(port),
         }
@@ -146,11 +148,11 @@ impl Bench {
         // motions are numbered by the host's units, so that no sensor can be mistaken for another
         let on_can = Sensor::new(1, Wiring::Can, Motion::new(CAN_UNIT));
         let on_rs485_a = Sensor::new(1, Wiring::Rs485, Motion::new(RS485_A_UNIT));
-        let can = attach::can(bridge.connect(Port::Can)?, NstCan::new(PATIENT).with(on_can), clock)?;
+        let can = attach::can(bridge.connect(CAN)?, NstCan::new(PATIENT).with(on_can), clock)?;
         let sensors = NstSerial::new(PATIENT).with(on_rs485_a);
-        let rs485_a = attach::serial(bridge.connect(Port::Rs485A)?, sensors, clock)?;
-        let rs485_b = attach::serial(bridge.connect(Port::Rs485B)?, station, clock)?;
-        let host = bridge.connect(Port::Host)?;
+        let rs485_a = attach::serial(bridge.connect(RS485_A)?, sensors, clock)?;
+        let rs485_b = attach::serial(bridge.connect(RS485_B)?, station, clock)?;
+        let host = bridge.connect(Port::HOST)?;
         client::prepare(&host)?;
         let mut asking = Client::new(host.try_clone()?, ASK_AGAIN);
         let started = bridge::wait(&mut asking, START);

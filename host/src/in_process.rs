@@ -1,4 +1,4 @@
-//! The bridge's engine in this process, with the four ports of the board on TCP sockets, as the emulator has them.
+//! The bridge's engine in this process, with the ports of its board on TCP sockets, as the emulator has them.
 //!
 //! It is the engine that the firmware runs, without the firmware: no board, no bit times (what a port sends has left
 //! at once), and a CAN bus on which a frame is acknowledged as soon as somebody is connected. A port serves one
@@ -6,8 +6,9 @@
 
 use crate::clock::Clock;
 use anyhow::{Context, Result, ensure};
-use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{Command, Engine, Identity, ResetCause, STORED_LENGTH, Settings};
+use jointbus_mcu_bridge::board::{Port, Target};
+use jointbus_mcu_bridge::boards::stm32f405;
+use jointbus_mcu_bridge::engine::{Action, AnyEngine, Identity, ResetCause, STORED_LENGTH, Settings};
 use jointbus_protocol::can::Id;
 use jointbus_protocol::slcan::{self, LineReader, Outcome};
 use std::io::{Read, Write};
@@ -30,7 +31,7 @@ const CHUNKS: usize = 64;
 /// A running engine. Dropping it ends its connections and threads.
 #[derive(Debug)]
 pub struct InProcess {
-    addresses: [SocketAddr; Port::ALL.len()],
+    addresses: Vec<SocketAddr>,
     connections: Arc<Connections>,
     stopped: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -40,25 +41,37 @@ pub struct InProcess {
 type Chunk = (Port, Vec<u8>);
 
 /// The connection of each port, if there is one.
-#[derive(Debug, Default)]
-struct Connections([Mutex<Option<TcpStream>>; Port::ALL.len()]);
+#[derive(Debug)]
+struct Connections(Vec<Mutex<Option<TcpStream>>>);
+
+/// Makes the engine of a board, at the start and after each reboot.
+pub type MakeEngine = fn(Identity, jointbus_protocol::time::Instant) -> Box<dyn AnyEngine>;
 
 impl InProcess {
-    /// Starts an engine with its default configuration, which reports this package's version.
+    /// Starts the reference board's engine with its default configuration, which reports this package's version.
     ///
     /// # Errors
     /// Where there are no free ports or no threads.
     pub fn start(clock: Clock) -> Result<Self> {
+        Self::start_board(clock, |identity, now| Box::new(stm32f405::Engine::new(identity, now)))
+    }
+
+    /// Starts the engine of any board, likewise.
+    ///
+    /// # Errors
+    /// As [`InProcess::start`].
+    pub fn start_board(clock: Clock, make: MakeEngine) -> Result<Self> {
+        let board = start(make, clock, ResetCause::PowerOn).board();
         let stopped = Arc::new(AtomicBool::new(false));
-        let connections = Arc::new(Connections::default());
+        let connections = Arc::new(Connections(board.ports().map(|_| Mutex::new(None)).collect()));
         let (sender, receiver) = sync_channel(CHUNKS);
         let mut running = Self {
-            addresses: [SocketAddr::from((Ipv4Addr::LOCALHOST, 0)); Port::ALL.len()],
+            addresses: vec![SocketAddr::from((Ipv4Addr::LOCALHOST, 0)); board.ports.len()],
             connections: Arc::clone(&connections),
             stopped: Arc::clone(&stopped),
             threads: Vec::new(),
         };
-        for (port, address) in Port::ALL.into_iter().zip(&mut running.addresses) {
+        for (port, address) in board.ports().zip(&mut running.addresses) {
             let listener = TcpListener::bind(*address).context("no free port on 127.0.0.1")?;
             listener.set_nonblocking(true)?;
             *address = listener.local_addr()?;
@@ -67,15 +80,17 @@ impl InProcess {
             let serve = move || serve(port, &listener, &connections, &sender, &stopped);
             running.threads.push(thread::Builder::new().name("port".into()).spawn(serve)?);
         }
-        let mut driver = Driver::new(clock, connections);
-        let run = move || driver.run(&receiver, &stopped);
+        let run = move || Driver::new(make, clock, connections).run(&receiver, &stopped);
         running.threads.push(thread::Builder::new().name("engine".into()).spawn(run)?);
         Ok(running)
     }
 
-    /// Where a port listens.
+    /// Where a port of the board listens.
+    ///
+    /// # Panics
+    /// Where the board does not have it.
     #[must_use]
-    pub const fn address(&self, port: Port) -> SocketAddr {
+    pub fn address(&self, port: Port) -> SocketAddr {
         self.addresses[port.index()]
     }
 
@@ -175,42 +190,51 @@ fn prepare(stream: &TcpStream) -> std::io::Result<TcpStream> {
 
 /// What the firmware is to the engine: carries bytes, frames and the time to and fro.
 struct Driver {
-    engine: Engine,
+    engine: Box<dyn AnyEngine>,
+    make: MakeEngine,
     /// What the host saved; it survives a reboot and not the process.
     stored: Option<Settings>,
     clock: Clock,
     connections: Arc<Connections>,
-    lines: LineReader<{ slcan::LINE_MAX }>,
+    /// For each port; a serial one has no use for it.
+    lines: Vec<LineReader<{ slcan::LINE_MAX }>>,
 }
 
 impl Driver {
-    fn new(clock: Clock, connections: Arc<Connections>) -> Self {
-        Self {
-            engine: start(clock, ResetCause::PowerOn),
-            stored: None,
-            clock,
-            connections,
-            lines: LineReader::new(),
-        }
+    fn new(make: MakeEngine, clock: Clock, connections: Arc<Connections>) -> Self {
+        let engine = start(make, clock, ResetCause::PowerOn);
+        let lines = engine.board().ports().map(|_| LineReader::new()).collect();
+        Self { engine, make, stored: None, clock, connections, lines }
     }
 
     fn run(&mut self, chunks: &Receiver<Chunk>, stopped: &AtomicBool) {
         while !stopped.load(Ordering::Relaxed) {
             match chunks.recv_timeout(self.pause()) {
-                Ok((Port::Can, bytes)) => self.receive_lines(&bytes),
+                Ok((port, bytes)) if self.engine.board().is_can(Target::Bus(port)) => {
+                    self.receive_lines(port, &bytes);
+                }
                 Ok((port, bytes)) => self.engine.receive(port, &bytes, self.clock.now()),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            self.engine.poll(self.clock.now());
-            let mut settings = [0; STORED_LENGTH];
-            if self.engine.take_save(&mut settings) {
-                self.stored = Settings::decode(&settings);
-                self.engine.saved(self.stored.is_some());
+            let mut rebooting = false;
+            while let Some(action) = self.engine.poll(self.clock.now()) {
+                match action {
+                    Action::Store => {
+                        let mut stored = [0; STORED_LENGTH];
+                        self.engine.encode_settings(&mut stored);
+                        self.stored = Settings::decode(&stored, self.engine.board());
+                        self.engine.saved(self.stored.is_some());
+                    }
+                    Action::AbortCan(port) => self.engine.frames_aborted(port, self.clock.now()),
+                    Action::Reboot => rebooting = true,
+                    // nobody hears the outputs, a socket has no baud rate, and this CAN bus is never off
+                    Action::Outputs | Action::Configure(_) | Action::RestartCan(_) => {}
+                }
             }
             self.send();
-            if self.engine.take_command() == Some(Command::Reboot) {
-                self.engine = start(self.clock, ResetCause::Software);
+            if rebooting {
+                self.engine = start(self.make, self.clock, ResetCause::Software);
                 if let Some(settings) = &self.stored {
                     self.engine.restore(settings, self.clock.now());
                 }
@@ -226,46 +250,40 @@ impl Driver {
         due.map_or(TICK, |due| due.min(TICK))
     }
 
-    fn receive_lines(&mut self, bytes: &[u8]) {
+    fn receive_lines(&mut self, port: Port, bytes: &[u8]) {
         for byte in bytes {
-            let Some(Outcome::Line(line)) = self.lines.push(*byte) else { continue };
+            let Some(Outcome::Line(line)) = self.lines[port.index()].push(*byte) else { continue };
             let Ok(slcan::Command::Frame(frame)) = slcan::Command::decode(line) else { continue };
-            self.engine.receive_frame(&frame, self.clock.now());
+            self.engine.receive_frame(port, &frame, self.clock.now());
             let confirmation = match frame.id() {
                 Id::Standard(_) => slcan::SENT_STANDARD,
                 Id::Extended(_) => slcan::SENT_EXTENDED,
             };
-            self.connections.send(Port::Can, confirmation);
+            self.connections.send(port, confirmation);
         }
     }
 
     /// Sends all that the engine has to send.
     fn send(&mut self) {
-        for port in [Port::Host, Port::Rs485A, Port::Rs485B] {
+        for port in self.engine.board().ports() {
             while !self.engine.output(port).is_empty() {
                 // a line has no listener that it knows of: without one, the bytes are gone
                 self.connections.send(port, self.engine.output(port));
                 self.engine.advance(port, self.engine.output(port).len());
-                if port != Port::Host {
-                    self.engine.transmit_complete(port, self.clock.now());
+                self.engine.transmit_complete(port, self.clock.now());
+            }
+            while self.connections.of(port).is_some()
+                && let Some(frame) = self.engine.next_frame(port)
+            {
+                let line = slcan::Command::Frame(frame);
+                if self.connections.send(port, line.encode(&mut [0; slcan::ENCODED_MAX])) {
+                    self.engine.frame_sent(port, self.clock.now());
                 }
             }
-        }
-        while self.connections.of(Port::Can).is_some()
-            && let Some(frame) = self.engine.next_frame()
-        {
-            let line = slcan::Command::Frame(frame);
-            if self.connections.send(Port::Can, line.encode(&mut [0; slcan::ENCODED_MAX])) {
-                self.engine.frame_sent(self.clock.now());
-            }
-        }
-        if self.engine.wants_abort() {
-            self.engine.frames_aborted(self.clock.now());
         }
     }
 }
 
-fn start(clock: Clock, reset_cause: ResetCause) -> Engine {
-    let identity = Identity { version: crate::version(), reset_cause };
-    Engine::new(identity, clock.now())
+fn start(make: MakeEngine, clock: Clock, reset_cause: ResetCause) -> Box<dyn AnyEngine> {
+    make(Identity { version: crate::version(), reset_cause }, clock.now())
 }

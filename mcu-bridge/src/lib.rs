@@ -20,5 +20,8 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod board;
+pub mod boards;
 pub mod engine;
 pub mod io;
+pub mod registers;

@@ -3,6 +3,7 @@
 use embedded_storage_async::nor_flash::{
     ErrorType, MultiwriteNorFlash, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
+use jointbus_mcu_bridge::boards::stm32f405::BOARD;
 use jointbus_mcu_bridge::engine::Settings;
 use jointbus_mcu_bridge::io::store::{Store, StoreError, Unreadable};
 
@@ -125,15 +126,15 @@ fn on<R>(
 
 /// Without power cuts.
 fn save(bytes: &mut [u8; SIZE], number: u16) -> Result<(), StoreError> {
-    on(bytes, &mut 1, u32::MAX, |store| store.save(&settings(number).encode()))
+    on(bytes, &mut 1, u32::MAX, |store| store.save(&settings(number).encode(BOARD)))
 }
 
 fn load(bytes: &mut [u8; SIZE]) -> Result<Option<Settings>, Unreadable> {
-    on(bytes, &mut 1, u32::MAX, |store| store.load())
+    on(bytes, &mut 1, u32::MAX, |store| store.load(BOARD))
 }
 
 fn settings(number: u16) -> Settings {
-    let mut settings = Settings::default();
+    let mut settings = Settings::of(BOARD);
     settings.limits.host_silence_ms = number;
     settings.slots[3] = (1, number);
     settings
@@ -149,11 +150,11 @@ fn power_cuts_lose_and_mix_nothing() {
         number = number.wrapping_add(1);
         // a save writes some 120 words, and erases four shares where a sector is begun
         let steps = random(&mut noise) as u32 % 200;
-        let saved = on(&mut bytes, &mut noise, steps, |store| store.save(&settings(number).encode()));
+        let saved = on(&mut bytes, &mut noise, steps, |store| store.save(&settings(number).encode(BOARD)));
         cuts += u32::from(saved.is_err());
         // and the power may fail again while the store is looked at
         let again = random(&mut noise) as u32 % 6;
-        let _ = on(&mut bytes, &mut noise, again, |store| store.load());
+        let _ = on(&mut bytes, &mut noise, again, |store| store.load(BOARD));
         last = match load(&mut bytes) {
             Ok(Some(loaded)) if loaded == settings(number) => number,
             Ok(Some(loaded)) if loaded == settings(last) && saved.is_err() => last,
@@ -189,7 +190,8 @@ fn the_sector_with_the_newest_settings_is_never_erased() {
         for steps in 0..8 {
             let mut cut = bytes;
             let mut noise = steps.into();
-            let saved = on(&mut cut, &mut noise, steps, |store| store.save(&settings(number + 1).encode()));
+            let saved =
+                on(&mut cut, &mut noise, steps, |store| store.save(&settings(number + 1).encode(BOARD)));
             assert_eq!((saved, load(&mut cut)), (Err(StoreError), Ok(Some(settings(number)))));
         }
     }
@@ -201,7 +203,7 @@ fn what_does_not_read_back_is_stored_in_the_other_sector_or_not_called_stored() 
     save(&mut bytes, 0).unwrap();
     let worn_save = |bytes: &mut [u8; SIZE], worn, number| {
         let flash = Flash { bytes, steps_left: u32::MAX, noise: &mut 1, worn: Some(worn) };
-        Store::new(flash, 0).unwrap().save(&settings(number).encode())
+        Store::new(flash, 0).unwrap().save(&settings(number).encode(BOARD))
     };
     let (mut well, mut moved) = (bytes, bytes);
     save(&mut well, 1).unwrap();

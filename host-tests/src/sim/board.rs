@@ -3,8 +3,9 @@
 
 use super::can_wire::CanWire;
 use super::moment::Moment;
-use jointbus_mcu_bridge::engine::config::{Port, PortConfig};
-use jointbus_mcu_bridge::engine::{self, Engine, Identity, ResetCause};
+use jointbus_mcu_bridge::board::{Port, PortConfig};
+use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, Engine, RS485_A, RS485_B};
+use jointbus_mcu_bridge::engine::{self, Action, Identity, ResetCause};
 use jointbus_mcu_bridge::io::serial::{IsrHalf, MainHalf, UartBuffers, extend_timestamp};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::time::Instant;
@@ -25,14 +26,17 @@ const CAN_INCOMING: usize = 32;
 pub(super) const INPUTS: [u16; 4] = [0x1357, 0x2468, 0x0F1E, 0x7A8B];
 
 /// Serial ports, in the order of their queues.
-pub(super) const SERIAL: [Port; 3] = [Port::Host, Port::Rs485A, Port::Rs485B];
+pub(super) const SERIAL: [Port; 3] = [Port::HOST, RS485_A, RS485_B];
 
 /// The main loop's side of the board.
 pub(super) struct Board<'q> {
     pub(super) engine: Engine,
     queues: [MainHalf<'q>; 3],
     frames: VecDeque<(Frame, u32)>,
-    sent: u32,
+    /// When frames of the bridge were acknowledged, as far as the main loop has not taken notice.
+    sent: Vec<u32>,
+    /// The controller is to give up its frames.
+    aborting: bool,
     /// Characters without their stop bit at each serial port.
     framing_errors: [u32; 3],
     transmit_errors: u32,
@@ -67,11 +71,8 @@ impl<'q> Board<'q> {
         let identity = Identity { version: jointbus::version(), reset_cause: ResetCause::PowerOn };
         let mut engine = Engine::new(identity, now);
         let Settings { network, limits, .. } = *settings;
-        engine.restore(&engine::Settings { network, limits, ..engine::Settings::default() }, now);
-        for port in Port::ALL {
-            let _ = engine.take_port_change(port);
-        }
-        engine.set_inputs(0, INPUTS);
+        engine.restore(&engine::Settings { topology: network, limits, ..engine::Settings::of(BOARD) }, now);
+        engine.units_mut().1.set_inputs(0, INPUTS);
         let [host, first, second] = queues;
         let ((host_in, host), (first_in, first), (second_in, second)) =
             (host.split(), first.split(), second.split());
@@ -79,20 +80,21 @@ impl<'q> Board<'q> {
             engine,
             queues: [host, first, second],
             frames: VecDeque::with_capacity(CAN_INCOMING),
-            sent: 0,
+            sent: Vec::new(),
+            aborting: false,
             framing_errors: [0; 3],
             transmit_errors: 0,
             receive_errors: 0,
             overrun: false,
-            node: settings.network.port(Port::Can).node,
+            node: settings.network.ports[CAN.index()].node,
         };
         let uart = |queues| Uart { queues, sending: false };
         (board, [uart(host_in), uart(first_in), uart(second_in)])
     }
 
     /// A frame of the bridge was acknowledged.
-    pub(super) const fn on_sent(&mut self) {
-        self.sent += 1;
+    pub(super) fn on_sent(&mut self, now: Instant) {
+        self.sent.push(now.as_micros() as u32);
     }
 
     /// A character came to a serial port without its stop bit.
@@ -131,47 +133,55 @@ impl<'q> Board<'q> {
             queues.drain_rx(&mut self.engine, port, now);
         }
         self.carry_can_in(now);
-        self.engine.poll(now);
+        self.engine.set_bus_off(CAN, wire.controllers[CONTROLLER].is_bus_off(), now);
+        while let Some(action) = self.engine.poll(now) {
+            match action {
+                Action::AbortCan(_) => self.aborting = true,
+                Action::RestartCan(_) => wire.restart(CONTROLLER, moment),
+                Action::Configure(port) => {
+                    if let Some(index) = SERIAL.iter().position(|serial| *serial == port) {
+                        handed.changed[index] = self.engine.port(port).copied();
+                    }
+                }
+                // nobody looks at the outputs, and the simulation neither saves nor reboots
+                Action::Outputs | Action::Store | Action::Reboot => {}
+            }
+        }
         for ((queues, port), moved) in self.queues.iter_mut().zip(SERIAL).zip(&mut handed.serial) {
             *moved = queues.fill_tx(&mut self.engine, port);
         }
-        self.carry_can_out(moment, wire, &mut handed);
-        for (port, changed) in SERIAL.into_iter().zip(&mut handed.changed) {
-            *changed = self.engine.take_port_change(port);
-        }
+        self.carry_can_out(now, wire, &mut handed);
         handed.again |= self.queues.iter().any(|queues| !queues.is_idle()) || !self.frames.is_empty();
         handed
     }
 
     fn carry_can_in(&mut self, now: Instant) {
         // acknowledgements first: a reply comes after the request that it answers
-        (0..std::mem::take(&mut self.sent)).for_each(|_| self.engine.frame_sent(now));
-        (0..std::mem::take(&mut self.transmit_errors)).for_each(|_| self.engine.transmit_error());
-        (0..std::mem::take(&mut self.receive_errors)).for_each(|_| self.engine.receive_error(Port::Can));
+        for micros in std::mem::take(&mut self.sent) {
+            self.engine.frame_sent(CAN, extend_timestamp(now, micros));
+        }
+        (0..std::mem::take(&mut self.transmit_errors)).for_each(|_| self.engine.transmit_error(CAN));
+        (0..std::mem::take(&mut self.receive_errors)).for_each(|_| self.engine.receive_error(CAN));
         if std::mem::take(&mut self.overrun) {
-            self.engine.overrun(Port::Can);
+            self.engine.overrun(CAN);
         }
         while let Some((frame, micros)) = self.frames.pop_front() {
-            self.engine.receive_frame(&frame, extend_timestamp(now, micros));
+            self.engine.receive_frame(CAN, &frame, extend_timestamp(now, micros));
         }
     }
 
-    fn carry_can_out(&mut self, moment: Moment, wire: &mut CanWire, handed: &mut Handed) {
-        let now = moment.instant();
-        self.engine.set_bus_off(wire.controllers[CONTROLLER].is_bus_off(), now);
-        if self.engine.take_can_restart(now) {
-            wire.restart(CONTROLLER, moment);
-        }
-        if self.engine.wants_abort() {
+    fn carry_can_out(&mut self, now: Instant, wire: &mut CanWire, handed: &mut Handed) {
+        if self.aborting {
             wire.abort(CONTROLLER);
-            if wire.controllers[CONTROLLER].outbox.is_empty() && self.sent == 0 {
-                self.engine.frames_aborted(now);
+            if wire.controllers[CONTROLLER].outbox.is_empty() && self.sent.is_empty() {
+                self.aborting = false;
+                self.engine.frames_aborted(CAN, now);
             }
             handed.again = true;
             return;
         }
         while wire.controllers[CONTROLLER].outbox.len() < MAILBOXES {
-            let Some(frame) = self.engine.next_frame() else { break };
+            let Some(frame) = self.engine.next_frame(CAN) else { break };
             wire.controllers[CONTROLLER].outbox.push_back(frame);
         }
     }

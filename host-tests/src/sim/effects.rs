@@ -2,8 +2,9 @@
 
 use super::fault::Fault;
 use super::world::TO_BUS_OFF;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::BOARD;
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::Port;
 use std::fmt::Write as _;
 
 /// A counter that tells of something wrong; the others tell of traffic.
@@ -308,7 +309,7 @@ impl Fault {
     /// What is wrong with the counters of a bridge after this fault alone, on that bus or on the host's line.
     #[must_use]
     pub fn misjudged(self, bus: Port, echo: bool, counters: &[Counters; 4]) -> Vec<String> {
-        let port_of = |at: At| if at == Host { Port::Host } else { bus };
+        let port_of = |at: At| if at == Host { Port::HOST } else { bus };
         let value = |port: Port, counter: Counter| counter.of(&counters[port.index()]);
         let mut wrong = Vec::new();
         for Raise(at, together, times) in self.raises() {
@@ -329,7 +330,7 @@ impl Fault {
                 ));
             }
         }
-        for (port, counter) in Port::ALL.into_iter().flat_map(|port| Counter::ALL.map(|it| (port, it))) {
+        for (port, counter) in BOARD.ports().flat_map(|port| Counter::ALL.map(|it| (port, it))) {
             let named = |Raise(at, together, _): &Raise| port_of(*at) == port && together.contains(&counter);
             if value(port, counter) > 0 && !self.raises().iter().any(named) {
                 wrong.push(format!("{port:?} {}: {}, not 0", counter.name(), value(port, counter)));

@@ -8,7 +8,7 @@ use super::station::SerialDevice;
 use super::tally::Tally;
 use super::world::World;
 use jointbus::devices::Order;
-use jointbus_mcu_bridge::engine::config::{Port, Protocol, Route, Topology};
+use jointbus_mcu_bridge::board::{Port, Protocol, Route, Topology};
 use jointbus_protocol::checksum;
 use jointbus_protocol::time::Instant;
 use std::collections::HashMap;
@@ -417,12 +417,10 @@ fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
 
 /// The port behind which the devices of a route are.
 fn port_of(route: &Route) -> usize {
-    use jointbus_mcu_bridge::engine::config::Target;
-    match route.bus {
-        Target::Rs485A => Port::Rs485A.index(),
-        Target::Rs485B => Port::Rs485B.index(),
-        Target::Can => Port::Can.index(),
-        Target::LocalOutputs | Target::LocalIo | Target::Bridge => Port::Host.index(),
+    use jointbus_mcu_bridge::board::Target;
+    match route.target {
+        Target::Bus(port) => port.index(),
+        Target::Local(_) | Target::Bridge => Port::HOST.index(),
     }
 }
 

@@ -3,7 +3,8 @@
 use super::board::INPUTS;
 use super::random::Random;
 use super::station::{MODULES, PATTERN, SCRATCH, pattern};
-use jointbus_mcu_bridge::engine::config::{Route, Target, Topology};
+use jointbus_mcu_bridge::board::{Route, Target, Topology};
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, INPUTS_OUTPUTS, OUTPUTS, RS485_A, RS485_B};
 use jointbus_protocol::modbus::{self, AddressRange, FunctionCode, rtu};
 use jointbus_protocol::nst::{self, SAMPLE_LENGTH, Sample, SignEncoding, can, register, serial};
 use jointbus_protocol::nxi6201;
@@ -177,9 +178,13 @@ impl Question {
     /// Transfers that it takes on CAN.
     #[must_use]
     pub fn transfers(&self, route: &Route) -> u64 {
-        match (route.bus, self) {
-            (Target::Can, Self::Pattern { length, .. }) => u64::from(*length).div_ceil(can::READ_MAX as u64),
-            (Target::Can, Self::Write { length, .. }) => u64::from(*length).div_ceil(can::WRITE_MAX as u64),
+        match (route.target, self) {
+            (Target::Bus(CAN), Self::Pattern { length, .. }) => {
+                u64::from(*length).div_ceil(can::READ_MAX as u64)
+            }
+            (Target::Bus(CAN), Self::Write { length, .. }) => {
+                u64::from(*length).div_ceil(can::WRITE_MAX as u64)
+            }
             _ => 1,
         }
     }
@@ -378,11 +383,11 @@ impl Questions {
     pub fn new(network: &Topology, sensors: u8, nodes: u8, mut random: Random) -> Self {
         let mut units = Vec::new();
         for row in network.routes.iter().filter(|row| row.is_used()) {
-            let count = match row.bus {
-                Target::Can => nodes,
-                Target::Rs485A => sensors,
-                Target::Rs485B => MODULES as u8,
-                Target::Bridge | Target::LocalOutputs | Target::LocalIo => 1,
+            let count = match row.target {
+                Target::Bus(CAN) => nodes,
+                Target::Bus(RS485_A) => sensors,
+                Target::Bus(RS485_B) => MODULES as u8,
+                Target::Bridge | Target::Local(_) | Target::Bus(_) => 1,
             };
             units.extend((row.first_unit..=row.last_unit).take(count.into()));
         }
@@ -436,7 +441,7 @@ impl Questions {
     pub fn for_unit(&mut self, network: &Topology, unit: u8) -> Question {
         let token = self.next_token();
         let short = token as u16;
-        let bus = network.route(unit).map(|(_, route)| (route.bus, route.protocol.is_nst()));
+        let bus = network.route(unit).map(|(_, route)| (route.target, route.protocol.is_nst()));
         let write = self.random.chance(self.writes);
         match bus {
             Some((_, true)) if write => match self.random.below(8) {
@@ -470,15 +475,15 @@ impl Questions {
                 0 => Question::Slot,
                 _ => Question::Loopback { token: short },
             },
-            Some((Target::LocalOutputs, false)) if write => {
+            Some((OUTPUTS, false)) if write => {
                 Question::CardValue { channel: self.random.below(4) as u8, token: short }
             }
-            Some((Target::LocalOutputs, false)) => Question::CardRate,
-            Some((Target::LocalIo, false)) if write => {
+            Some((OUTPUTS, false)) => Question::CardRate,
+            Some((INPUTS_OUTPUTS, false)) if write => {
                 let on = self.random.chance(500_000);
                 Question::BoardOutput { channel: self.random.below(8) as u8, on }
             }
-            Some((Target::LocalIo, false)) => {
+            Some((INPUTS_OUTPUTS, false)) => {
                 let first = self.random.below(INPUTS.len() as u64) as u8;
                 let most = INPUTS.len() as u64 - u64::from(first);
                 Question::BoardInputs { first, count: self.random.between(1, most) as u8 }

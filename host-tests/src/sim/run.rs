@@ -11,8 +11,9 @@ use super::settings::Settings;
 use super::station::{flip_bits, reseal};
 use super::tally::Tally;
 use super::world::{Notice, World};
+use jointbus_mcu_bridge::board::{Protocol, Target, Topology};
+use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, RS485_A, RS485_B};
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::{Port, Protocol, Target, Topology};
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::decode::STRAY_MAX;
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
@@ -71,13 +72,14 @@ impl Plan {
             settings.station_delay = Delay::Moody(2 * MILLIS, 20_000);
         }
         // some ports hear themselves
-        for port in [Port::Rs485A, Port::Rs485B] {
+        for port in [RS485_A, RS485_B] {
             settings.network.ports[port.index()].echo = random.chance(300_000);
         }
         // and some stations speak Modbus ASCII
         if random.chance(250_000) {
             let rows = settings.network.routes.iter_mut();
-            rows.filter(|row| row.bus == Target::Rs485B).for_each(|row| row.protocol = Protocol::ModbusAscii);
+            rows.filter(|row| row.target == Target::Bus(RS485_B))
+                .for_each(|row| row.protocol = Protocol::ModbusAscii);
         }
         settings.latency = Delay::Uniform(2 * MICROS, random.pick(&[10, 30, 100]) * MICROS);
         let manner = match random.below(3) {
@@ -245,10 +247,10 @@ impl<'q> Run<'q> {
         if unit == nst::BROADCAST {
             self.world.host_pauses(SILENCE);
             self.silent = end.saturating_add(SILENCE);
-            self.master.broadcast(&question, &[Port::Rs485A, Port::Can], end.saturating_add(BURST_ENDS));
+            self.master.broadcast(&question, &[RS485_A, CAN], end.saturating_add(BURST_ENDS));
             return self.silent;
         }
-        self.master.broadcast(&question, &[Port::Rs485B], end);
+        self.master.broadcast(&question, &[RS485_B], end);
         end
     }
 
@@ -502,7 +504,7 @@ impl<'q> Run<'q> {
 
     /// Every request is answered, or counted: exactly.
     fn account(&mut self) {
-        let counters = Port::ALL.map(|port| self.world.engine().counters(port));
+        let counters: Vec<_> = BOARD.ports().map(|port| self.world.engine().counters(port)).collect();
         let sum = |what: fn(&Counters) -> u32| {
             counters.iter().map(|counters| u64::from(what(counters))).sum::<u64>()
         };
@@ -540,7 +542,7 @@ impl<'q> Run<'q> {
 fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
     let mut buffer = [0; rtu::FRAME_MAX];
     let token = 0xEE00_0000 | random.next() as u32 & 0x00FF_FFFF;
-    let network = Topology::default();
+    let network = Topology::of(BOARD);
     if unit == u8::MAX || is_nst(&network, unit) {
         let request = nst::Request::Write { register: 0, data: &token.to_be_bytes() };
         encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()

@@ -1,6 +1,7 @@
 use super::delay::Delay;
 use super::moment::MICROS;
-use jointbus_mcu_bridge::engine::config::{Limits, Topology};
+use jointbus_mcu_bridge::board::{Limits, Topology};
+use jointbus_mcu_bridge::boards::stm32f405::BOARD;
 
 /// What is simulated.
 #[derive(Debug, Clone)]
@@ -31,7 +32,7 @@ impl Settings {
     pub fn new(seed: u64) -> Self {
         Self {
             seed,
-            network: Topology::default(),
+            network: Topology::of(BOARD),
             limits: Limits::default(),
             sensors: 5,
             nodes: 5,

@@ -8,8 +8,9 @@ use super::random::Random;
 use super::run::{Manner, Plan, Run};
 use super::settings::Settings;
 use super::world::Notice;
+use jointbus_mcu_bridge::board::{Port, Route};
+use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, RS485_A, RS485_B};
 use jointbus_mcu_bridge::engine::Counters;
-use jointbus_mcu_bridge::engine::config::{Port, Route, Target};
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{FrameType, Identifier};
@@ -91,10 +92,10 @@ impl<'q> Course<'q> {
         let mut random = Random::new(seed ^ 0x0FA7);
         let mut settings = Settings::new(seed);
         let bus = match fault.place() {
-            Place::Host => Port::Host,
-            Place::Can => Port::Can,
-            Place::Serial if fault == Fault::ReplyException => Port::Rs485B,
-            Place::Serial => random.pick(&[Port::Rs485A, Port::Rs485B]),
+            Place::Host => Port::HOST,
+            Place::Can => CAN,
+            Place::Serial if fault == Fault::ReplyException => RS485_B,
+            Place::Serial => random.pick(&[RS485_A, RS485_B]),
         };
         let echo = fault.place() == Place::Serial && random.chance(300_000);
         settings.network.ports[bus.index()].echo = echo;
@@ -136,7 +137,7 @@ impl<'q> Course<'q> {
             }
         }
         let engine = self.run.world.engine();
-        for port in Port::ALL {
+        for port in BOARD.ports() {
             let counters = engine.counters(port);
             let raised = Counter::ALL.into_iter().find(|counter| counter.of(&counters) > 0);
             if let Some(counter) = raised {
@@ -199,12 +200,7 @@ impl<'q> Course<'q> {
     }
 
     fn port_of(&self, unit: u8) -> Option<Port> {
-        match self.route(unit).bus {
-            Target::Rs485A => Some(Port::Rs485A),
-            Target::Rs485B => Some(Port::Rs485B),
-            Target::Can => Some(Port::Can),
-            Target::LocalOutputs | Target::LocalIo | Target::Bridge => None,
-        }
+        self.route(unit).target.port()
     }
 
     /// Asks everybody until every bound has passed, and then once more.
@@ -238,7 +234,7 @@ impl<'q> Course<'q> {
     fn notice(&mut self, notice: &Notice) -> Option<u8> {
         match notice {
             Notice::SerialFrame { port, .. } => self.sent[port.index()] += 1,
-            Notice::CanFrame { .. } => self.sent[Port::Can.index()] += 1,
+            Notice::CanFrame { .. } => self.sent[CAN.index()] += 1,
             Notice::BridgeHears(_) => self.heard += 1,
             Notice::Alarm(_) if !self.run.master.is_open(BRIDGE, &Question::Health) => {
                 self.run.ask(BRIDGE, Question::Health);
@@ -267,7 +263,7 @@ impl<'q> Course<'q> {
         let timeout = route.timeout(question.is_read()).as_micros() * MICROS;
         let live = Nanos::from(route.time_to_live_ms) * MILLIS;
         let limit = taken.saturating_add(live + attempts * (timeout + WIRE));
-        if self.fault.place() == Place::Can && port == Some(Port::Can) {
+        if self.fault.place() == Place::Can && port == Some(CAN) {
             (1..8).for_each(|look| self.run.world.set_alarm(taken.saturating_add(look * 3 * MILLIS), LOOK));
         }
         let (mut sent, mut last_sent) = (0, taken);
@@ -279,7 +275,7 @@ impl<'q> Course<'q> {
                 Notice::SerialFrame { port: on, .. } if Some(on) == port => {
                     (sent, last_sent) = (sent + 1, self.run.world.now());
                 }
-                Notice::CanFrame { frame, .. } if port == Some(Port::Can) => {
+                Notice::CanFrame { frame, .. } if port == Some(CAN) => {
                     sent += u32::from(begins(&frame));
                     last_sent = self.run.world.now();
                 }
@@ -321,7 +317,7 @@ impl<'q> Course<'q> {
         let late = self
             .owed
             .iter()
-            .any(|((other, _), until)| asked < *until && (*other == unit || self.bus == Port::Rs485B));
+            .any(|((other, _), until)| asked < *until && (*other == unit || self.bus == RS485_B));
         let excused = mine
             && match self.service {
                 Service::Kept => false,
@@ -349,7 +345,7 @@ impl<'q> Course<'q> {
             self.found.raised.push(format!("health bits {health:#x} meanwhile, {end:#x} in the end"));
         }
         let engine = self.run.world.engine();
-        self.found.counters = Port::ALL.map(|port| engine.counters(port));
+        self.found.counters = [Port::HOST, RS485_A, RS485_B, CAN].map(|port| engine.counters(port));
         self.found.raised.extend(self.fault.misjudged(self.bus, self.echo, &self.found.counters));
         let [host, a, b, can] = &self.found.counters;
         let tally = &self.run.master.tally;

@@ -16,8 +16,8 @@ use super::recorder::{Interface, Recorder};
 use super::settings::Settings;
 use super::station::{CanStation, SerialStation};
 use jointbus::devices::Order;
-use jointbus_mcu_bridge::engine::Engine;
-use jointbus_mcu_bridge::engine::config::{self, Port, PortConfig};
+use jointbus_mcu_bridge::board::{Port, PortConfig};
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, Engine, RS485_A, RS485_B};
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::time::Duration;
@@ -149,9 +149,9 @@ impl<'q> World<'q> {
         let now = Moment::from_nanos(1_000_000_000);
         let (board, uarts) = Board::new(&settings, queues, now.instant());
         let bus = |port: Port, devices: Vec<SerialStation>| {
-            let config = settings.network.port(port);
+            let config = settings.network.ports[port.index()];
             // the bridge, the devices, the intruder
-            let mut line = Line::new(devices.len() + 2, byte_time(config));
+            let mut line = Line::new(devices.len() + 2, byte_time(&config));
             line.set_noisy(devices.len() + 1);
             Bus {
                 line,
@@ -166,27 +166,24 @@ impl<'q> World<'q> {
                 noise: Vec::new(),
             }
         };
-        let a = settings.network.port(Port::Rs485A);
+        let a = settings.network.ports[RS485_A.index()];
         // a device that hears a foreign frame is ready again before the next one
         let silence = Duration::from_micros(a.characters(3).as_micros());
         let sensors = (1..=settings.sensors)
             .map(|address| SerialStation::sensor(address, silence, settings.sensor_delay));
         let lines = [
-            bus(Port::Rs485A, sensors.collect()),
+            bus(RS485_A, sensors.collect()),
             bus(
-                Port::Rs485B,
-                vec![SerialStation::station(
-                    settings.station_delay,
-                    settings.network.speaks_ascii(config::Target::Rs485B),
-                )],
+                RS485_B,
+                vec![SerialStation::station(settings.station_delay, settings.network.speaks_ascii(RS485_B))],
             ),
         ];
         let nodes: Vec<_> =
             (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();
         // the bridge, the nodes, the intruder
-        let mut can = CanWire::new(settings.network.port(Port::Can).rate.into(), nodes.len() + 2);
+        let mut can = CanWire::new(settings.network.ports[CAN.index()].rate.into(), nodes.len() + 2);
         can.controllers[CONTROLLER].waits_for_restart = true;
-        let host_byte = byte_time(settings.network.port(Port::Host));
+        let host_byte = byte_time(&settings.network.ports[Port::HOST.index()]);
         let mut world = Self {
             now,
             agenda: Agenda::new(),
@@ -215,7 +212,7 @@ impl<'q> World<'q> {
     /// Records all wires from now on; [`World::recording`] has the file.
     pub fn record(&mut self) {
         let rates =
-            [Port::Host, Port::Rs485A, Port::Rs485B].map(|port| self.settings.network.port(port).baud());
+            [Port::HOST, RS485_A, RS485_B].map(|port| self.settings.network.ports[port.index()].baud());
         self.recorder = Some(Recorder::new(rates));
     }
 
@@ -368,7 +365,7 @@ impl<'q> World<'q> {
         for (index, changed) in handed.changed.iter().enumerate() {
             let Some(config) = changed else { continue };
             match SERIAL[index] {
-                Port::Host => self.host_byte = byte_time(config),
+                Port::HOST => self.host_byte = byte_time(config),
                 _ => self.lines[index - 1].line.set_byte_time(byte_time(config)),
             }
         }
@@ -388,7 +385,7 @@ impl<'q> World<'q> {
 fn byte_time(config: &PortConfig) -> Nanos {
     let bits = 9
         + u64::from(config.stop_bits)
-        + u64::from(config.parity != jointbus_mcu_bridge::engine::config::Parity::None);
+        + u64::from(config.parity != jointbus_mcu_bridge::board::Parity::None);
     bits * 1_000_000_000 / u64::from(config.baud().max(1))
 }
 

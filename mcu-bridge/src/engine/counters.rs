@@ -19,9 +19,9 @@ pub struct Counters {
     pub foreign_or_late: u32,
     /// Bytes or frames lost because nobody fetched them in time, or because there was no room to keep them.
     pub overruns: u32,
-    /// RequestFraming whose time to live ended before they were sent.
+    /// Requests whose time to live ended before they were sent.
     pub expired: u32,
-    /// RequestFraming refused: queue full, unknown unit, write protection.
+    /// Requests refused: queue full, unknown unit, write protection.
     pub refused: u32,
     /// Times the controller went bus-off.
     pub bus_off: u32,

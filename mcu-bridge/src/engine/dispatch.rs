@@ -1,60 +1,33 @@
-//! The door: what a frame from the host sets going. Here it is decoded, once, and finds its route.
+//! What a frame from the host sets going. Here it is decoded, once, and finds its route.
 
-use super::config::{Port, Route, Target};
+use super::actions::Action;
+use super::core::Core;
 use super::counters::count;
-use super::host::HostFormat;
+use super::framing::Framing;
 use super::quarantine::Admission;
-use super::queue::{Content, QueueFull};
-use super::response::Framing;
-use super::transaction::{Expected, Request};
-use super::{Change, Core, Engine};
+use super::queue::QueueFull;
+use super::request::{Expected, Request};
+use super::slab::Content;
+use crate::board::{Board, LocalUnits, Port, Route, Target};
 use jointbus_protocol::decode::{DecodeError, Event, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
-use jointbus_protocol::{checksum, ndam9010, nst};
+use jointbus_protocol::{checksum, nst};
 
-impl Engine {
-    /// Takes bytes from the host.
-    pub(super) fn receive_host(&mut self, mut bytes: &[u8], now: Instant) {
-        let Self { host, core } = self;
-        host.set_silence(core.limits.burst_silence());
-        while let Some(event) = host.feed(&HostFormat(core.routes()), &mut bytes, now) {
-            core.take(&event, now);
-            core.make_change(now);
-        }
-    }
-
-    /// Notices the silence after a burst from the host.
-    #[inline(never)] // seldom, and not beside the rest of what is due
-    pub(super) fn end_host_burst(&mut self, now: Instant) {
-        let Self { host, core } = self;
-        host.set_silence(core.limits.burst_silence());
-        if let Some(event) = host.poll(&HostFormat(core.routes()), now) {
-            core.take(&event, now);
-            core.make_change(now);
-        }
-    }
-}
-
-impl Core {
-    /// Makes the change that a request has asked for. Here and not where it was asked for, which is deeper in the stack.
-    fn make_change(&mut self, now: Instant) {
-        let change = core::mem::replace(&mut self.change, Change::None);
-        self.change(change, now);
-    }
-
-    fn take(&mut self, event: &Event<'_>, now: Instant) {
-        let [counters, ..] = &mut self.counters;
+impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
+    /// Takes what came out of the host's bytes.
+    pub(super) fn take(&mut self, event: &Event<'_>, now: Instant) {
+        let [counters, ..] = &mut self.shared.counters;
         match *event {
             Event::Frame(frame) => {
                 count(&mut counters.received);
-                self.last_request = Some(now);
+                self.shared.last_request = Some(now);
                 self.request(frame, now);
             }
             Event::Dropped { error, burst } => {
                 let unit = burst.first().copied().unwrap_or(0);
-                let known =
-                    matches!(unit, modbus::BROADCAST | nst::BROADCAST) || self.router.row(unit).is_some();
+                let known = matches!(unit, modbus::BROADCAST | nst::BROADCAST)
+                    || self.shared.router.row(unit).is_some();
                 match (known, error) {
                     (false, _) => count(&mut counters.refused),
                     (true, DecodeError::Checksum) => {
@@ -73,19 +46,17 @@ impl Core {
     fn request(&mut self, frame: &[u8], now: Instant) {
         let Some((&unit, body)) = checksum::strip_crc(frame).and_then(<[u8]>::split_first) else { return };
         match unit {
-            modbus::BROADCAST => {
-                self.broadcast_modbus(unit, body, &[Target::Rs485A, Target::Rs485B, Target::LocalIo], now)
-            }
+            modbus::BROADCAST => self.broadcast_modbus(unit, body, now),
             nst::BROADCAST => {
                 let whole = FrameLength::Exactly(frame.len());
                 if nst::serial::request_length(frame) == whole {
                     self.broadcast_nst(body, now);
                 }
                 if rtu::request_length(frame) == whole {
-                    self.broadcast_modbus(unit, body, &[Target::LocalOutputs], now);
+                    self.broadcast_modbus(unit, body, now);
                 }
             }
-            _ => match self.routes().find(unit) {
+            _ => match self.shared.routes().find(unit) {
                 Some((number, route)) if route.protocol.is_nst() => {
                     self.request_nst(unit, number, *route, body, now);
                 }
@@ -111,16 +82,15 @@ impl Core {
     /// Hands a request to its bus, unless its unit is in quarantine or the queue is full.
     fn admit(&mut self, route: &Route, mut request: Request, body: &[u8], now: Instant) {
         let (unit, function) = (request.unit, request.function);
-        let waits = match route.bus {
-            Target::Rs485A => self.rs485_a.holds(&request, now),
-            Target::Rs485B => self.rs485_b.holds(&request, now),
-            _ => self.can.holds(&request, now),
-        };
-        let refusal = match self.quarantine.admit(unit, waits, &self.limits, now) {
+        let waits = route.target.port().is_some_and(|port| match self.serial(port) {
+            Some((bus, _)) => bus.holds(&request, now),
+            None => self.can(port).is_some_and(|(bus, _)| bus.holds(&request, now)),
+        });
+        let refusal = match self.shared.quarantine.admit(unit, waits, &self.shared.settings.limits, now) {
             Admission::Refused => Some(ExceptionCode::GatewayTargetDeviceFailedToRespond),
             admission => {
                 if admission == Admission::Probe {
-                    request.become_probe(&self.limits);
+                    request.become_probe(&self.shared.settings.limits);
                 }
                 let remote = route.remote_of(unit);
                 self.send(route, &request, remote, body, now)
@@ -137,23 +107,22 @@ impl Core {
         let asked = match modbus::Request::decode(body) {
             Ok(asked) => asked,
             Err(error) => {
-                let [counters, ..] = &mut self.counters;
+                let [counters, ..] = &mut self.shared.counters;
                 let (function, exception) = modbus::server::exception_for(error);
-                return self.output.refuse(counters, unit, function.code(), exception);
+                return self.shared.output.refuse(counters, unit, function.code(), exception);
             }
         };
         let function = asked.function();
         if route.refuse_writes && !asked.is_read() {
             return self.refuse(unit, Some((function.code(), ExceptionCode::IllegalFunction)));
         }
-        if matches!(route.bus, Target::LocalOutputs | Target::LocalIo | Target::Bridge) {
-            if !self.output.has_room() {
-                return self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
-            }
-            return match route.bus {
-                Target::Bridge => self.serve_own(unit, body, now),
-                _ => self.serve_local(unit, route.bus, &asked),
-            };
+        if !matches!(route.target, Target::Bus(_)) && !self.shared.output.has_room() {
+            return self.refuse(unit, Some((function.code(), ExceptionCode::ServerDeviceBusy)));
+        }
+        match route.target {
+            Target::Bridge => return self.shared.serve_bridge(B::DESCRIPTION, unit, body, now),
+            Target::Local(index) => return self.serve_local(unit, index, &asked),
+            Target::Bus(_) => {}
         }
         let remote = route.remote_of(unit);
         let expected = Expected::Modbus(rtu::ExpectedResponse::new(remote, &asked));
@@ -161,41 +130,44 @@ impl Core {
         self.admit(&route, request, body, now);
     }
 
-    /// Answers for the board's own outputs or inputs and outputs. Apart, so that a request for a bus goes without its
-    /// buffer.
-    #[inline(never)]
-    fn serve_local(&mut self, unit: u8, bus: Target, asked: &modbus::Request<'_>) {
+    /// Answers for one of the board's own units.
+    fn serve_local(&mut self, unit: u8, index: u8, asked: &modbus::Request<'_>) {
         let mut out = [0; modbus::PDU_MAX];
-        let response = match bus {
-            Target::LocalOutputs => self.outputs.dispatch(asked, &mut out),
-            _ => ndam9010::dispatch(&mut self.io, asked, &mut out),
-        };
-        if let Ok(response) = response {
-            let [counters, ..] = &mut self.counters;
-            self.output.relay(counters, unit, response);
+        if let Some(response) = self.units.dispatch(index, asked, &mut out) {
+            let [counters, ..] = &mut self.shared.counters;
+            self.shared.output.relay(counters, unit, response);
+        }
+        self.look_at_outputs();
+    }
+
+    /// Tells the firmware where the board's own outputs were written.
+    fn look_at_outputs(&mut self) {
+        if self.units.take_change() {
+            self.shared.actions.push(Action::Outputs);
         }
     }
 
-    /// A broadcast of Modbus: writes only, never answered.
-    fn broadcast_modbus(&mut self, address: u8, body: &[u8], to: &[Target], now: Instant) {
+    /// A broadcast of Modbus: writes only, never answered. Address 0 reaches every bus that speaks Modbus, and each of the
+    /// board's own units is reached by its kind's address.
+    fn broadcast_modbus(&mut self, address: u8, body: &[u8], now: Instant) {
         let Ok(asked) = modbus::Request::decode(body) else { return };
         if asked.is_read() {
             return self.refuse(modbus::BROADCAST, None);
         }
-        for bus in to {
-            let Some(row) = self.broadcast_row(*bus, false) else { continue };
-            // function code, address, and value or quantity: nobody gets to see it
-            let mut unseen = [0; 5];
-            match bus {
-                Target::LocalIo => {
-                    let _ = ndam9010::dispatch(&mut self.io, &asked, &mut unseen);
+        if address == modbus::BROADCAST {
+            for port in B::DESCRIPTION.ports() {
+                if let Some(row) = self.broadcast_row(Target::Bus(port), false) {
+                    self.send_broadcast(&row, asked.function().code(), address, body, now);
                 }
-                Target::LocalOutputs => {
-                    let _ = self.outputs.dispatch(&asked, &mut unseen);
-                }
-                _ => self.send_broadcast(&row, asked.function().code(), address, body, now),
             }
         }
+        for (index, _) in (0..).zip(B::Units::KINDS).filter(|(_, kind)| kind.broadcast() == address) {
+            if self.broadcast_row(Target::Local(index), false).is_some() {
+                // function code, address, and value or quantity: nobody gets to see it
+                let _ = self.units.dispatch(index, &asked, &mut [0; 5]);
+            }
+        }
+        self.look_at_outputs();
     }
 
     /// A broadcast of NST: writes and commands only, never answered.
@@ -204,18 +176,19 @@ impl Core {
         if asked.function().is_read() {
             return self.refuse(nst::BROADCAST, None);
         }
-        for bus in [Target::Rs485A, Target::Rs485B, Target::Can] {
-            if let Some(row) = self.broadcast_row(bus, true) {
+        for port in B::DESCRIPTION.ports() {
+            if let Some(row) = self.broadcast_row(Target::Bus(port), true) {
                 self.send_broadcast(&row, asked.function().code(), nst::BROADCAST, body, now);
             }
         }
     }
 
-    /// The first route of a bus in that dialect, unless it refuses writes.
-    fn broadcast_row(&self, bus: Target, is_nst: bool) -> Option<Route> {
-        let mut rows = self.live.routes.iter();
-        let row =
-            rows.find(|row| row.is_used() && row.bus == bus && row.protocol.is_nst() == is_nst).copied();
+    /// The first route to a target in that dialect, unless it refuses writes.
+    fn broadcast_row(&self, target: Target, is_nst: bool) -> Option<Route> {
+        let mut rows = self.shared.live.routes.iter();
+        let row = rows
+            .find(|row| row.is_used() && row.target == target && row.protocol.is_nst() == is_nst)
+            .copied();
         row.filter(|row| !row.refuse_writes)
     }
 
@@ -237,26 +210,22 @@ impl Core {
     ) -> Result<(), QueueFull> {
         let framing = Framing::of(route);
         let write = |content: &mut Content| framing.write(address, body, content);
-        match route.bus {
-            Target::Rs485A | Target::Rs485B => {
-                let port = if route.bus == Target::Rs485A { Port::Rs485A } else { Port::Rs485B };
-                let Some((bus, mut cx)) = self.serial_parts(port) else { return Err(QueueFull) };
-                bus.push(request, write, now, &mut cx)
-            }
-            Target::Can => {
-                let (can, mut cx) = self.can_parts();
-                can.push(request, write, now, &mut cx)
-            }
-            Target::LocalOutputs | Target::LocalIo | Target::Bridge => Err(QueueFull),
+        let port = route.target.port().unwrap_or(Port::HOST);
+        if let Some((bus, mut cx)) = self.serial(port) {
+            bus.push(request, write, now, &mut cx)
+        } else if let Some((bus, mut cx)) = self.can(port) {
+            bus.push(request, write, now, &mut cx)
+        } else {
+            Err(QueueFull)
         }
     }
 
     /// Counts a refusal and tells the host: with a Modbus exception, or with silence.
     fn refuse(&mut self, unit: u8, exception: Option<(u8, ExceptionCode)>) {
-        let [counters, ..] = &mut self.counters;
+        let [counters, ..] = &mut self.shared.counters;
         count(&mut counters.refused);
         if let Some((function, exception)) = exception {
-            self.output.refuse(counters, unit, function, exception);
+            self.shared.output.refuse(counters, unit, function, exception);
         }
     }
 }

@@ -1,24 +1,24 @@
 //! The host port: which frames come in, and the replies on their way out.
 
-use super::config::Protocol;
 use super::counters::{Counters, count};
 use super::router::Routes;
+use crate::board::Protocol;
 use heapless::Vec;
 use jointbus_protocol::decode::{FrameDecoder, FrameLength, Framing, STRAY_MAX};
 use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
-use jointbus_protocol::{checksum, nst, wire};
+use jointbus_protocol::{checksum, nst};
 
 /// Longest frame of the host: NST and Modbus agree.
 pub(super) const FRAME_MAX: usize = rtu::FRAME_MAX;
 const _: () = assert!(nst::serial::REQUEST_MAX == FRAME_MAX && nst::serial::RESPONSE_MAX <= FRAME_MAX + 1);
 
 /// Frames of the host out of its bytes.
-pub(super) type HostDeframer = FrameDecoder<{ FRAME_MAX + STRAY_MAX }>;
+pub(super) type HostDecoder = FrameDecoder<{ FRAME_MAX + STRAY_MAX }>;
 
 /// The unit address selects the route, the route the codec, the codec the frame's length.
-pub(super) struct HostFormat<'a>(pub(super) Routes<'a>);
+pub(super) struct HostFraming<'a>(pub(super) Routes<'a>);
 
-impl Framing for HostFormat<'_> {
+impl Framing for HostFraming<'_> {
     fn length(&self, prefix: &[u8]) -> FrameLength {
         match prefix.first() {
             Some(&modbus::BROADCAST) => rtu::request_length(prefix),
@@ -90,17 +90,22 @@ impl Output {
         self.reserved = self.reserved.saturating_sub(FRAME_MAX);
     }
 
-    /// UartBuffers the refusal of a Modbus request.
-    #[inline(never)] // in many places, and seldom
+    /// Queues the refusal of a Modbus request.
     pub(super) fn refuse(&mut self, counters: &mut Counters, unit: u8, function: u8, why: ExceptionCode) {
         self.relay(counters, unit, &[function | FunctionCode::EXCEPTION_FLAG, why.code()]);
     }
 
-    /// UartBuffers a reply of a data unit or body.
+    /// Queues a reply of a data unit or body.
     pub(super) fn relay(&mut self, counters: &mut Counters, unit: u8, content: &[u8]) {
         if OUTPUT.saturating_sub(self.buffer.len()) <= FRAME_MAX && self.start > 0 {
+            // bytes move to the front, one by one: `copy_within` would bring its panic and `memmove` into the image
             let left = self.pending().len();
-            wire::close_gap(&mut self.buffer, self.start);
+            for to in 0..left {
+                let byte = self.buffer.get(to.saturating_add(self.start)).copied();
+                if let (Some(byte), Some(place)) = (byte, self.buffer.get_mut(to)) {
+                    *place = byte;
+                }
+            }
             self.buffer.truncate(left);
             self.start = 0;
         }

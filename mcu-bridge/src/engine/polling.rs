@@ -1,17 +1,14 @@
 //! Slots in which the bridge reads sensors by itself, on time.
 
-use super::AT_ONCE;
-use super::config::{Route, Target};
-use super::queue::Content;
-use super::response::Framing;
+use super::framing::Framing;
+use super::request::{Expected, Origin, Request};
 use super::router::Routes;
-use super::transaction::{Expected, Origin, Request};
+use super::slab::Content;
+use crate::board::{Port, Route, Target};
+use crate::registers::SLOTS;
 use jointbus_protocol::nst::{self, AXES, SAMPLE_LENGTH, Sample, SignEncoding, register, serial};
 use jointbus_protocol::time::{Duration, Instant};
 use jointbus_protocol::wire::Writer;
-
-/// Number of slots.
-pub const SLOTS: usize = 8;
 
 /// A sample is stale after three periods without a new one, but not before this.
 const STALE_AT_LEAST: Duration = Duration::from_millis(20);
@@ -83,7 +80,7 @@ pub struct Slot {
     /// Samples so far; wraps around.
     pub sequence: u32,
     /// When the last byte or frame of the newest sample came; 0 before the first.
-    pub stamp: Instant,
+    pub timestamp: Instant,
     /// The newest sample.
     pub sample: Sample,
     /// Periods that ended before the slot could read, because its bus, or its last read, was not done.
@@ -106,7 +103,7 @@ impl Slot {
         unit: 0,
         period_100us: 0,
         sequence: 0,
-        stamp: Instant::from_micros(0),
+        timestamp: Instant::from_micros(0),
         sample: Sample([0; AXES]),
         missed: 0,
         failures: 0,
@@ -125,7 +122,7 @@ impl Slot {
 
     /// A sample takes time: none comes in the microsecond in which the bridge starts.
     fn has_sample(&self) -> bool {
-        self.stamp > Instant::from_micros(0)
+        self.timestamp > Instant::from_micros(0)
     }
 
     /// What it has to say.
@@ -134,7 +131,7 @@ impl Slot {
         match (self.period_100us, self.has_sample()) {
             (0, _) => SlotState::Off,
             (_, false) => SlotState::Empty,
-            _ if now.saturating_duration_since(self.stamp)
+            _ if now.saturating_duration_since(self.timestamp)
                 >= self.period().saturating_mul(3).max(STALE_AT_LEAST) =>
             {
                 SlotState::Stale
@@ -179,7 +176,7 @@ const _: () = assert!(SLOTS <= u8::BITS as usize);
 
 impl Polling {
     pub(super) const fn new() -> Self {
-        Self { slots: [Slot::OFF; SLOTS], next: AT_ONCE, due: 0 }
+        Self { slots: [Slot::OFF; SLOTS], next: Instant::from_micros(0), due: 0 }
     }
 
     pub(super) fn slot(&self, index: usize) -> Option<&Slot> {
@@ -228,7 +225,7 @@ impl Polling {
     /// The read of the slot that is due on a bus and began its period first, if nothing holds it back.
     pub(super) fn next(
         &mut self,
-        bus: Target,
+        port: Port,
         routes: Routes<'_>,
         now: Instant,
         held: impl Fn(&Request) -> bool,
@@ -244,7 +241,7 @@ impl Polling {
             }
             let route = routes
                 .find(slot.unit)
-                .filter(|(_, route)| route.bus == bus && route.protocol.is_nst())
+                .filter(|(_, route)| route.target == Target::Bus(port) && route.protocol.is_nst())
                 .map(|(number, route)| request(slot.unit, index, number, route, now));
             if let Some(request) = route.filter(|request| !held(request)) {
                 due = Some((index, began, request));
@@ -264,7 +261,7 @@ impl Polling {
         slot.progress = slot.progress.done();
         if let Some(data) = body.get(nst::RESPONSE_HEADER..).and_then(|data| data.first_chunk()) {
             slot.sample = Sample::decode(data, SignEncoding::TwosComplement);
-            slot.stamp = now;
+            slot.timestamp = now;
             slot.sequence = slot.sequence.wrapping_add(1);
         }
         self.look();
@@ -295,7 +292,7 @@ pub(super) fn read(request: &Request, content: &mut Content) {
     let mut writer = Writer::new(&mut buffer);
     // the buffer has the length of a read
     let _ = READ.encode(&mut writer);
-    let framing = if request.is_split { Framing::Body } else { Framing::Sealed };
+    let framing = if request.is_split { Framing::Body } else { Framing::WithCrc };
     framing.write(request.expected.map_or(0, |expected| expected.remote()), writer.finish(), content);
 }
 
@@ -352,7 +349,7 @@ mod tests {
         assert_eq!(slot.state(at(0)), SlotState::Off);
         slot = Slot::new(1, 10, at(0));
         assert_eq!(slot.state(at(1_000_000)), SlotState::Empty);
-        slot.stamp = at(1000);
+        slot.timestamp = at(1000);
         assert_eq!(slot.state(at(20_999)), SlotState::Fresh, "at least 20 ms");
         assert_eq!(slot.state(at(21_000)), SlotState::Stale);
         slot.period_100us = 100;

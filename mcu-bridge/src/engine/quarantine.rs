@@ -1,7 +1,7 @@
 //! Devices that don't answer: after a few transactions in a row their requests are refused at once, but for a probe now
 //! and then, so that they cost the others of their bus no time.
 
-use super::config::{Limits, Route};
+use crate::board::{Limits, Route};
 use heapless::Vec;
 use jointbus_protocol::time::Instant;
 
@@ -14,24 +14,7 @@ struct Device {
     /// Transactions in a row without an answer.
     unanswered: u8,
     /// When the next request is let through, once it is in quarantine.
-    probe: Moment,
-}
-
-/// An [`Instant`] in six bytes, since there are many: enough for nine years.
-#[derive(Debug, Clone, Copy)]
-struct Moment([u8; 6]);
-
-impl From<Instant> for Moment {
-    fn from(instant: Instant) -> Self {
-        let [low @ .., _, _] = instant.as_micros().to_le_bytes();
-        Self(low)
-    }
-}
-
-impl From<Moment> for Instant {
-    fn from(Moment([a, b, c, d, e, f]): Moment) -> Self {
-        Self::from_micros(u64::from_le_bytes([a, b, c, d, e, f, 0, 0]))
-    }
+    probe: Instant,
 }
 
 /// What is to become of a request.
@@ -61,7 +44,7 @@ impl Quarantine {
 
     /// A transaction ended without an answer.
     pub(super) fn unanswered(&mut self, unit: u8, limits: &Limits, now: Instant) {
-        let probe = now.saturating_add(limits.probe_period()).into();
+        let probe = now.saturating_add(limits.probe_period());
         if let Some(device) = self.0.iter_mut().find(|device| device.unit == unit) {
             device.unanswered = device.unanswered.saturating_add(1);
             if !device.is_quarantined(limits) || device.unanswered == limits.quarantine_after {
@@ -73,13 +56,13 @@ impl Quarantine {
         }
     }
 
-    /// Judges a request; `waits` tells whether it could not be sent for a reply that its unit owes.
+    /// Decides about a request; `waits` tells whether it could not be sent for a reply that its unit owes.
     pub(super) fn admit(&mut self, unit: u8, waits: bool, limits: &Limits, now: Instant) -> Admission {
         match self.0.iter_mut().find(|device| device.unit == unit && device.is_quarantined(limits)) {
             None => Admission::Normal,
-            Some(device) if waits || now < device.probe.into() => Admission::Refused,
+            Some(device) if waits || now < device.probe => Admission::Refused,
             Some(device) => {
-                device.probe = now.saturating_add(limits.probe_period()).into();
+                device.probe = now.saturating_add(limits.probe_period());
                 Admission::Probe
             }
         }
@@ -102,7 +85,6 @@ impl Quarantine {
     }
 
     /// Forgets the devices from one unit to another.
-    #[inline(never)] // in several places
     fn release(&mut self, first: u8, last: u8) {
         self.0.retain(|device| !(first..=last).contains(&device.unit));
     }
@@ -117,7 +99,8 @@ impl Device {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::config::Topology;
+    use crate::board::Topology;
+    use crate::boards::stm32f405::BOARD;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -125,7 +108,7 @@ mod tests {
 
     #[test]
     fn three_in_a_row_and_one_answer() {
-        let (mut quarantine, limits, network) = (Quarantine::new(), Limits::default(), Topology::default());
+        let (mut quarantine, limits, network) = (Quarantine::new(), Limits::default(), Topology::of(BOARD));
         let (_, route) = network.route(33).unwrap();
         for count in 1..=3 {
             assert_eq!(quarantine.admit(33, false, &limits, at(0)), Admission::Normal);

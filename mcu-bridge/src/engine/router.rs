@@ -1,6 +1,6 @@
 //! The routing table as it is looked through: six rows at once.
 
-use super::config::{ROUTES, Route, Topology};
+use crate::board::{ROUTES, Route, Topology};
 
 /// Rows in a word: each takes nine bits, a byte and the carry of what is added to it.
 const LANES: usize = 3;
@@ -40,18 +40,17 @@ impl Router {
     /// One that finds nothing, in zeros.
     pub(super) const ZERO: Self = Self([Group { from: 0, to: 0 }; GROUPS]);
 
-    /// For the rows of a network.
+    /// For the rows of a topology.
     #[must_use]
-    pub fn new(network: &Topology) -> Self {
+    pub fn new(topology: &Topology) -> Self {
         let mut router = Self::ZERO;
-        router.learn(network);
+        router.learn(topology);
         router
     }
 
     /// Forgets the former rows.
-    #[inline(never)] // at the start and when routes change
-    pub(super) fn learn(&mut self, network: &Topology) {
-        let mut rows = network.routes.iter();
+    pub(super) fn learn(&mut self, topology: &Topology) {
+        let mut rows = topology.routes.iter();
         for group in &mut self.0 {
             // a row that is not used serves no unit, and lends its neighbour nothing
             *group = Group { from: 0, to: CARRIES };
@@ -66,7 +65,6 @@ impl Router {
 
     /// Number of the row of a unit.
     #[must_use]
-    #[inline(never)] // asked in many places
     pub fn row(&self, unit: u8) -> Option<u8> {
         let units = ONES.wrapping_mul(unit.into());
         let mut row = 0u8;
@@ -88,37 +86,37 @@ impl Router {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Routes<'a> {
     pub(super) router: &'a Router,
-    pub(super) network: &'a Topology,
+    pub(super) topology: &'a Topology,
 }
 
 impl<'a> Routes<'a> {
     /// The route of a unit, and its number.
     pub(super) fn find(self, unit: u8) -> Option<(u8, &'a Route)> {
         let number = self.router.row(unit)?;
-        self.network.routes.get(usize::from(number)).map(|route| (number, route))
+        self.topology.routes.get(usize::from(number)).map(|route| (number, route))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::config::Route;
+    use crate::boards::stm32f405::BOARD;
 
-    fn agree(network: &Topology) {
-        let router = Router::new(network);
+    fn agree(topology: &Topology) {
+        let router = Router::new(topology);
         for unit in 0..u8::MAX {
             assert_eq!(
                 router.row(unit),
-                network.route(unit).map(|(row, _)| row),
-                "unit {unit} of {network:?}"
+                topology.route(unit).map(|(row, _)| row),
+                "unit {unit} of {topology:?}"
             );
         }
     }
 
     #[test]
     fn every_unit_is_found_in_the_first_row_that_serves_it() {
-        agree(&Topology::default());
-        let unused = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::default() };
+        agree(&Topology::of(BOARD));
+        let unused = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::of(BOARD) };
         agree(&unused);
         // any first and last units, in any order and overlapping
         let mut random = 1u32;
@@ -127,8 +125,8 @@ mod tests {
             (random >> 24) as u8
         };
         for _ in 0..2000 {
-            let mut network = unused;
-            for row in &mut network.routes {
+            let mut topology = unused;
+            for row in &mut topology.routes {
                 (row.first_unit, row.last_unit) = match unit() % 4 {
                     0 => (0, 0),
                     1 => (unit(), unit()),
@@ -139,7 +137,7 @@ mod tests {
                     }
                 };
             }
-            agree(&network);
+            agree(&topology);
         }
     }
 }

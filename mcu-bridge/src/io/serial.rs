@@ -6,8 +6,8 @@
 //! stored whole: a Cortex-M0+ has no other atomic operations. What the interrupt counts it alone writes; the main loop
 //! remembers how far it has seen the count.
 
-use crate::engine::Engine;
-use crate::engine::config::Port;
+use crate::board::Port;
+use crate::engine::AnyEngine;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
@@ -100,6 +100,8 @@ struct Shared {
     last_byte: AtomicU32,
     /// How many bytes had come when the last transmission ended.
     ended_at: AtomicU32,
+    /// When that was.
+    ended_micros: AtomicU32,
     /// A transmission ended since the main loop looked last.
     ended: AtomicBool,
     /// Times that bytes were lost.
@@ -155,6 +157,7 @@ impl<const IN: usize> UartBuffers<IN> {
             outgoing: Ring::new(),
             last_byte: AtomicU32::new(0),
             ended_at: AtomicU32::new(0),
+            ended_micros: AtomicU32::new(0),
             ended: AtomicBool::new(false),
             overruns: Count::new(),
             progress: Count::new(),
@@ -220,12 +223,13 @@ pub struct TransmitterSide<'a> {
 }
 
 impl TransmitterSide<'_> {
-    /// The last stop bit has left and the driver is off.
-    pub fn transmitted(&mut self) {
+    /// The last stop bit left at `micros`, the low half of the microseconds since boot, and the driver is off.
+    pub fn transmitted(&mut self, micros: u32) {
         let shared = self.shared;
         shared.progress.increment();
         shared.sending.store(false, Ordering::Relaxed);
         shared.ended_at.store(self.ends.put.load(Ordering::Relaxed), Ordering::Relaxed);
+        shared.ended_micros.store(micros, Ordering::Relaxed);
         shared.ended.store(true, Ordering::Release);
     }
 
@@ -313,14 +317,14 @@ impl MainHalf<'_> {
 
     /// Carries what came in to the engine.
     #[inline]
-    pub fn drain_rx(&mut self, engine: &mut Engine, port: Port, now: Instant) {
+    pub fn drain_rx(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
         if !(self.is_idle() && self.is_well()) {
             self.carry_all_in(engine, port, now);
         }
     }
 
     #[inline(never)]
-    fn carry_all_in(&mut self, engine: &mut Engine, port: Port, now: Instant) {
+    fn carry_all_in(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
         for _ in 0..self.shared.errors.more_than(&mut self.seen.errors) {
             engine.receive_error(port);
         }
@@ -332,14 +336,15 @@ impl MainHalf<'_> {
         let ended = self.shared.ended.load(Ordering::Acquire);
         let ended_at = self.shared.ended_at.load(Ordering::Relaxed);
         if ended && put.wrapping_sub(ended_at) <= u32::MAX / 2 {
+            let at = extend_timestamp(now, self.shared.ended_micros.load(Ordering::Relaxed));
             self.shared.ended.store(false, Ordering::Relaxed);
             self.carry_until(ended_at, engine, port, now);
-            engine.transmit_complete(port, now);
+            engine.transmit_complete(port, at);
         }
         self.carry_until(put, engine, port, now);
     }
 
-    fn carry_until(&mut self, until: u32, engine: &mut Engine, port: Port, now: Instant) {
+    fn carry_until(&mut self, until: u32, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
         let mut taken = self.ends.taken.load(Ordering::Relaxed);
         while taken != until {
             let (mut chunk, mut length) = ([0; CHUNK], 0usize);
@@ -360,7 +365,7 @@ impl MainHalf<'_> {
     }
 
     /// Carries what the engine has to send to the interrupt; tells whether there was any.
-    pub fn fill_tx(&mut self, engine: &mut Engine, port: Port) -> bool {
+    pub fn fill_tx(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port) -> bool {
         let output = engine.output(port);
         if output.is_empty() {
             return false;
@@ -393,6 +398,7 @@ pub fn extend_timestamp(now: Instant, micros: u32) -> Instant {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::boards::stm32f405::Engine;
     use crate::engine::{Identity, ResetCause};
 
     #[test]
@@ -419,9 +425,9 @@ mod tests {
             interrupt.received(*byte, 5);
         }
         assert!(!main.is_idle());
-        main.drain_rx(&mut engine, Port::Host, now);
+        main.drain_rx(&mut engine, Port::HOST, now);
         assert!(main.is_idle());
-        assert!(main.fill_tx(&mut engine, Port::Host));
+        assert!(main.fill_tx(&mut engine, Port::HOST));
         let sent: std::vec::Vec<u8> = core::iter::from_fn(|| interrupt.transmitter().next_byte()).collect();
         assert_eq!(sent.len(), 245);
         assert!(rtu::Frame::decode(&sent).is_ok());
@@ -439,8 +445,8 @@ mod tests {
         let request = jointbus_protocol::modbus::Request::ReadInputRegisters(
             jointbus_protocol::modbus::AddressRange::new(0, 1),
         );
-        engine.receive(Port::Host, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
-        assert!(main.fill_tx(&mut engine, Port::Host));
+        engine.receive(Port::HOST, rtu::encode_request(247, &request, &mut [0; 16]).unwrap(), now);
+        assert!(main.fill_tx(&mut engine, Port::HOST));
         assert!(!main.made_progress());
         assert!(interrupt.transmitter().next_byte().is_some());
         assert!(main.made_progress());
@@ -448,7 +454,7 @@ mod tests {
         while interrupt.transmitter().next_byte().is_some() {}
         assert!(main.made_progress());
         assert!(!main.made_progress(), "the last byte does not leave");
-        interrupt.transmitter().transmitted();
+        interrupt.transmitter().transmitted(0);
         assert!(main.made_progress());
         assert!(main.made_progress(), "there is nothing to send");
     }
@@ -471,14 +477,14 @@ mod tests {
                 let byte = if index == broken { interrupt.transmitter().framing_error(*byte) } else { *byte };
                 interrupt.received(byte, 0);
             }
-            main.drain_rx(&mut engine, Port::Host, now);
-            assert!(!main.fill_tx(&mut engine, Port::Host), "taken with byte {broken} broken");
-            assert!(engine.counters(Port::Host).checksum_errors >= 1);
+            main.drain_rx(&mut engine, Port::HOST, now);
+            assert!(!main.fill_tx(&mut engine, Port::HOST), "taken with byte {broken} broken");
+            assert!(engine.counters(Port::HOST).checksum_errors >= 1);
             now = Instant::from_micros(1_000_000);
-            engine.poll(now);
+            while engine.poll(now).is_some() {}
             frame.iter().for_each(|byte| interrupt.received(*byte, 1_000_000));
-            main.drain_rx(&mut engine, Port::Host, now);
-            assert!(main.fill_tx(&mut engine, Port::Host), "the next one is");
+            main.drain_rx(&mut engine, Port::HOST, now);
+            assert!(main.fill_tx(&mut engine, Port::HOST), "the next one is");
         }
     }
 
@@ -488,7 +494,7 @@ mod tests {
         let (mut interrupt, main) = queues.split();
         assert!(main.is_idle());
         (0..3).for_each(|_| interrupt.received(0x55, 0));
-        interrupt.transmitter().transmitted();
+        interrupt.transmitter().transmitted(0);
         interrupt.received(0xAA, 0);
         let (ended_at, put) = (&main.shared.ended_at, &main.ends.put);
         assert_eq!((ended_at.load(Ordering::Relaxed), put.load(Ordering::Relaxed)), (3, 4));
@@ -514,7 +520,7 @@ mod tests {
         for _ in 0..RX_CAPACITY + 1 {
             interrupt.received(0x55, 0);
         }
-        main.drain_rx(&mut engine, Port::Host, now);
-        assert_eq!(engine.counters(Port::Host).overruns, 1);
+        main.drain_rx(&mut engine, Port::HOST, now);
+        assert_eq!(engine.counters(Port::HOST).overruns, 1);
     }
 }

@@ -6,6 +6,7 @@
 //! sector, which is erased first and has to be blank to its last byte, because an erase that the power cut may leave
 //! anything behind, blank ends among it. The sector with the newest settings is never erased.
 
+use crate::board::Description;
 use crate::engine::{STORED_LENGTH, Settings};
 use core::ops::Range;
 use embassy_futures::block_on;
@@ -77,16 +78,16 @@ impl<F: MultiwriteNorFlash> Store<F> {
         Ok(Self { flash, start })
     }
 
-    /// What was stored last; `None` where nothing ever was.
+    /// What was stored last for a board; `None` where nothing ever was.
     ///
     /// # Errors
     /// [`Unreadable`]; it can be written all the same.
     #[inline(never)]
-    pub fn load(&mut self) -> Result<Option<Settings>, Unreadable> {
+    pub fn load(&mut self, board: &Description) -> Result<Option<Settings>, Unreadable> {
         let mut buffer = [0; BUFFER];
         match self.newest(&mut buffer) {
             Some(Newest { number, sector }) if self.find(sector, Some(number), 0, &mut buffer).is_some() => {
-                decode(&buffer)
+                decode(&buffer, board)
             }
             None if self.is_blank(Sector::First) && self.is_blank(Sector::Second) => Ok(None),
             _ => Err(Unreadable),
@@ -213,8 +214,9 @@ impl<F: MultiwriteNorFlash> Store<F> {
 
 /// The settings in an entry. What it needs of the stack is in use only while it runs.
 #[inline(never)]
-fn decode(entry: &[u8; BUFFER]) -> Result<Option<Settings>, Unreadable> {
-    entry.get(NUMBER..ENTRY).and_then(Settings::decode).map(Some).ok_or(Unreadable)
+fn decode(entry: &[u8; BUFFER], board: &Description) -> Result<Option<Settings>, Unreadable> {
+    let stored = entry.get(NUMBER..ENTRY).ok_or(Unreadable)?;
+    Settings::decode(stored, board).map(Some).ok_or(Unreadable)
 }
 
 fn log<F: MultiwriteNorFlash>(flash: &mut F, range: Range<u32>) -> Result<Log<'_, F>, QueueConfigError> {

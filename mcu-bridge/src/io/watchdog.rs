@@ -1,5 +1,7 @@
 //! Whether everything that has to go on goes on: what the watchdog is fed for.
 
+use crate::board::{PORTS_MAX, Port};
+
 /// A part of the firmware that can stand still by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
@@ -7,50 +9,50 @@ pub enum Task {
     Tick,
     /// The main loop has carried everything in, asked the engine, and carried everything out.
     Loop,
-    /// The host's port has nothing to send, or has sent something.
-    Host,
-    /// The first RS485 port, likewise.
-    Rs485A,
-    /// The second RS485 port, likewise.
-    Rs485B,
-    /// The CAN controller has been looked after.
-    Can,
     /// The inputs have been read.
     Inputs,
+    /// A serial port has nothing to send, or has sent something; a CAN controller has been looked after.
+    Port(Port),
 }
 
 impl Task {
-    /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Tick, Self::Loop, Self::Host, Self::Rs485A, Self::Rs485B, Self::Can, Self::Inputs];
-
-    const fn bit(self) -> u8 {
-        1 << self as u8
+    const fn bit(self) -> u16 {
+        let bit = match self {
+            Self::Tick => 0,
+            Self::Loop => 1,
+            Self::Inputs => 2,
+            Self::Port(port) => port.number().saturating_add(3) as u32,
+        };
+        1u16.wrapping_shl(bit)
     }
 }
 
-/// A mark for every part.
-#[derive(Debug, Default)]
-pub struct Heartbeats(u8);
+const _: () = assert!(PORTS_MAX + 3 <= u16::BITS as usize);
+
+/// Which parts have advanced.
+#[derive(Debug)]
+pub struct Heartbeats {
+    all: u16,
+    advanced: u16,
+}
 
 impl Heartbeats {
-    /// No part has advanced yet.
+    /// For these parts, none of which has advanced yet.
     #[must_use]
-    pub const fn new() -> Self {
-        Self(0)
+    pub fn new(tasks: impl IntoIterator<Item = Task>) -> Self {
+        Self { all: tasks.into_iter().fold(0, |bits, task| bits | task.bit()), advanced: 0 }
     }
 
     /// A part has advanced.
-    pub const fn set(&mut self, part: Task) {
-        self.0 |= part.bit();
+    pub const fn set(&mut self, task: Task) {
+        self.advanced |= task.bit();
     }
 
     /// Whether every part has advanced since this was last true.
-    pub fn take_all(&mut self) -> bool {
-        let all = Task::ALL.iter().fold(0, |bits, part| bits | part.bit());
-        let advanced = self.0 == all;
+    pub const fn take_all(&mut self) -> bool {
+        let advanced = self.advanced & self.all == self.all;
         if advanced {
-            self.0 = 0;
+            self.advanced = 0;
         }
         advanced
     }
@@ -62,10 +64,11 @@ mod tests {
 
     #[test]
     fn only_when_every_part_has_advanced_since_the_last_time() {
-        for missing in Task::ALL {
-            let mut marks = Heartbeats::new();
+        let tasks = [Task::Tick, Task::Loop, Task::Inputs, Task::Port(Port::HOST), Task::Port(Port::new(5))];
+        for missing in tasks {
+            let mut marks = Heartbeats::new(tasks);
             for _ in 0..2 {
-                Task::ALL.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
+                tasks.iter().filter(|part| **part != missing).for_each(|part| marks.set(*part));
                 assert!(!marks.take_all(), "{missing:?} stands still");
             }
             marks.set(missing);

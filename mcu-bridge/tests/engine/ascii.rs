@@ -2,7 +2,8 @@
 
 use crate::world::{World, modbus};
 use crate::{LATER, SOON};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::RS485_B;
 use jointbus_protocol::modbus::ascii;
 use jointbus_protocol::time::Duration;
 
@@ -26,7 +27,7 @@ fn the_station_is_read_and_written_in_ascii() {
     let long = [&[16, 0, 0, 0, 123, 246][..], &[0x5A; 246]].concat();
     assert_eq!(world.modbus(32, &long, SOON), [0x90, 3], "longer than what is spelt out at once");
     assert_eq!(world.sent[3].2.len(), ascii::FRAME_MAX - 2);
-    let counters = world.engine.counters(Port::Rs485B);
+    let counters = world.engine.counters(RS485_B);
     assert_eq!((counters.sent, counters.received, counters.foreign_or_late), (4, 4, 0));
 }
 
@@ -43,7 +44,7 @@ fn broadcasts_go_out_in_ascii() {
     assert_eq!(world.exchange(&modbus(0, &[5, 2, 3, 0xFF, 0]), SOON), []);
     let on_port =
         |port| world.sent.iter().find(|(_, other, _)| *other == port).map(|(_, _, frame)| &frame[..]);
-    assert_eq!(on_port(Port::Rs485B), Some(&b":00050203FF00F7\r\n"[..]));
+    assert_eq!(on_port(RS485_B), Some(&b":00050203FF00F7\r\n"[..]));
     assert!(world.station.modules()[0].outputs & 0b1000 != 0);
 }
 
@@ -51,18 +52,18 @@ fn broadcasts_go_out_in_ascii() {
 fn what_is_no_reply_in_ascii_is_counted_and_the_wait_goes_on() {
     let mut world = world();
     world.held_back = Some(Vec::new());
-    world.engine.receive(Port::Host, &modbus(32, &[4, 0, 0x40, 0, 1]), world.now);
+    world.engine.receive(Port::HOST, &modbus(32, &[4, 0, 0x40, 0, 1]), world.now);
     world.pass(Duration::from_millis(20));
     let (port, reply) = world.held_back.take().unwrap().remove(0);
     let others: [&[u8]; 5] =
         [b"noise", b":0204021234B2\r\n", b":010402123\r\n", b":0104021234B2\r\n", &reply[..7]];
     for other in others {
         world.engine.receive(port, other, world.now);
-        assert_eq!(world.engine.output(Port::Host), []);
+        assert_eq!(world.engine.output(Port::HOST), []);
     }
     world.engine.receive(port, &reply, world.now);
     assert_eq!(world.exchange(&[], SOON), modbus(32, &[4, 2, 0, 0]));
-    let counters = world.engine.counters(Port::Rs485B);
+    let counters = world.engine.counters(RS485_B);
     assert_eq!(counters.foreign_or_late, 4, "unit, length, LRC, and one that began twice");
     assert_eq!((counters.received, counters.timeouts), (2, 0));
 }
@@ -75,7 +76,7 @@ fn a_late_reply_in_ascii_is_given_to_no_other_request() {
     assert_eq!(world.modbus(32, &[4, 0, 0x40, 0, 1], Duration::from_millis(600)), [0x84, 0x0B]);
     let late = world.held_back.take().unwrap();
     world.station.modules()[0].analog_inputs = [0x2222; 16];
-    world.engine.receive(Port::Host, &modbus(32, &[4, 0, 0x41, 0, 1]), world.now);
+    world.engine.receive(Port::HOST, &modbus(32, &[4, 0, 0x41, 0, 1]), world.now);
     for (port, reply) in late {
         world.pass(Duration::from_millis(15));
         world.engine.receive(port, &reply, world.now);
@@ -92,10 +93,10 @@ fn a_port_that_hears_itself_drops_its_echo_in_ascii() {
     let request = [5, 2, 3, 0xFF, 0];
     world.echo = Some(Vec::new());
     assert_eq!(world.modbus(32, &request, SOON), request);
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     assert_eq!(world.modbus(32, &request, LATER), [0x85, 0x0B], "an echo is no answer");
-    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 0);
+    assert_eq!(world.engine.counters(RS485_B).transmit_errors, 0);
     world.echo = Some(vec![0x55; 17]);
     world.modbus(32, &request, LATER);
-    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 1);
+    assert_eq!(world.engine.counters(RS485_B).transmit_errors, 1);
 }

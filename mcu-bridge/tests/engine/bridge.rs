@@ -2,8 +2,9 @@
 
 use crate::world::{SAMPLE, World, modbus};
 use crate::{LATER, READ, SOON, axes};
-use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{STORED_LENGTH, Settings};
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, RS485_A};
+use jointbus_mcu_bridge::engine::{Action, STORED_LENGTH, Settings};
 use jointbus_protocol::time::Duration;
 
 #[test]
@@ -21,7 +22,7 @@ fn unit_247_tells_about_the_bridge() {
     assert_eq!(times[2..], [0, 0, 0, 39, 0, 39], "three frames of 130 us");
     assert_eq!(world.modbus(247, &[4, 3, 0, 0, 1], SOON), [0x84, 2]);
     assert_eq!(world.modbus(247, &[6, 0, 0, 0xC1, 0xEA], SOON), [6, 0, 0, 0xC1, 0xEA]);
-    assert_eq!(world.engine.counters(Port::Can).received, 0);
+    assert_eq!(world.engine.counters(CAN).received, 0);
     assert_eq!(world.modbus(247, &[6, 0, 0, 0, 1], SOON), [0x86, 3], "no such command");
 }
 
@@ -59,12 +60,12 @@ fn polling_slots_read_on_time_beside_the_host() {
     let (start, slot) = (world.now, *world.engine.slot(0).unwrap());
     assert!((15..=16).contains(&slot.sequence), "{slot:?}");
     assert_eq!((slot.missed, slot.failures), (0, 0));
-    assert!(start.saturating_duration_since(slot.stamp) < Duration::from_millis(11));
+    assert!(start.saturating_duration_since(slot.timestamp) < Duration::from_millis(11));
     let block = world.modbus(247, &[4, 1, 0, 0, 24], Duration::ZERO);
     let fields = [
         &[4, 48, 0, 2, 0, 1][..],
         &slot.sequence.to_be_bytes(),
-        &slot.stamp.as_micros().to_be_bytes(),
+        &slot.timestamp.as_micros().to_be_bytes(),
         &[0; 8],
     ];
     assert_eq!(block, [fields.concat(), sample(1)].concat());
@@ -72,7 +73,7 @@ fn polling_slots_read_on_time_beside_the_host() {
     assert_eq!(block[2..6], [0, 2, 0, 16]);
     assert_eq!(block[26..], sample(2));
 
-    world.unplugged = vec![Port::Can];
+    world.unplugged = vec![CAN];
     world.pass(Duration::from_millis(300));
     let slot = *world.engine.slot(0).unwrap();
     assert!(slot.failures >= 2 && slot.missed > 10, "{slot:?}");
@@ -96,13 +97,13 @@ fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
     assert_eq!(world.modbus(247, &[3, 1, 0x15, 0, 4], SOON), [3, 8, 0, 50, 1, 0xF4, 0, 1, 0, 100]);
     assert_eq!(world.modbus(247, &timeout, SOON), timeout);
     assert_eq!(world.modbus(247, &[3, 1, 0x15, 0, 1], SOON), [3, 2, 0x03, 0xE8]);
-    world.unplugged = vec![Port::Rs485A];
+    world.unplugged = vec![RS485_A];
     world.nst(16, &READ, LATER);
-    assert_eq!(world.engine.counters(Port::Rs485A).timeouts, 2, "staged is not live");
+    assert_eq!(world.engine.counters(RS485_A).timeouts, 2, "staged is not live");
     assert_eq!(world.modbus(247, &apply, SOON), apply);
     assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0x10], "unconfirmed");
     world.nst(16, &READ, Duration::from_millis(900));
-    assert_eq!(world.engine.counters(Port::Rs485A).timeouts, 2, "a second has not passed");
+    assert_eq!(world.engine.counters(RS485_A).timeouts, 2, "a second has not passed");
     world.pass(Duration::from_millis(10_000));
     assert_eq!(world.modbus(247, &[3, 1, 0x15, 0, 1], SOON), [3, 2, 0, 50], "rolled back");
     for request in [timeout, apply, confirm] {
@@ -114,17 +115,16 @@ fn a_configuration_is_staged_applied_and_confirmed_or_rolled_back() {
 
 #[test]
 fn a_port_that_has_changed_is_told_once() {
-    for (port, number) in Port::ALL.into_iter().zip(0..) {
+    for (port, number) in BOARD.ports().zip(0..) {
         let mut world = World::new();
         let write = [6, 0, 0x13 + 8 * number, 0, 9];
         for request in [write, [6, 0, 0, 0xA9, 0x91]] {
-            assert!(!world.engine.has_port_change());
+            assert_eq!(world.take_actions(), []);
             assert_eq!(world.modbus(247, &request, SOON), request);
         }
-        assert!(world.engine.has_port_change());
-        let changed = Port::ALL.map(|port| world.engine.take_port_change(port).map(|config| config.node));
-        assert_eq!(changed, Port::ALL.map(|other| (other == port).then_some(9)));
-        assert!(!world.engine.has_port_change());
+        assert_eq!(world.take_actions(), [Action::Configure(port)]);
+        assert_eq!(world.engine.port(port).unwrap().node, 9);
+        assert_eq!(world.take_actions(), []);
     }
 }
 
@@ -139,20 +139,21 @@ fn what_is_confirmed_is_saved_and_restored() {
     assert_eq!(world.modbus(247, &[6, 0, 0x55, 0, 5], SOON), [6, 0, 0x55, 0, 5]);
     assert_eq!(world.modbus(247, &save, SOON), [], "answered when it is done");
     assert_eq!(world.modbus(247, &save, SOON), [0x86, 6], "one at a time");
+    assert_eq!(world.take_actions(), [Action::Store]);
     let mut stored = [0; STORED_LENGTH];
-    assert!(world.engine.wants_save() && world.engine.take_save(&mut stored));
-    assert!(!world.engine.wants_save() && !world.engine.take_save(&mut [0; STORED_LENGTH]));
+    world.engine.encode_settings(&mut stored);
+    assert_eq!(world.take_actions(), [], "asked once");
     world.engine.saved(true);
     assert_eq!(world.exchange(&[], SOON), modbus(247, &save));
 
     let mut other = World::new();
-    other.engine.restore(&Settings::decode(&stored).unwrap(), other.now);
+    other.engine.restore(&Settings::decode(&stored, BOARD).unwrap(), other.now);
     assert_eq!(other.modbus(247, &[3, 1, 0x15, 0, 1], SOON), [3, 2, 0, 77], "confirmed, not staged");
     assert_eq!(other.modbus(247, &[3, 0, 0x41, 0, 1], SOON), [3, 2, 0, 99]);
     assert_eq!(other.modbus(247, &[3, 0, 0x55, 0, 1], SOON), [3, 2, 0, 5]);
     assert_eq!(other.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0]);
     assert_eq!(other.modbus(247, &save, SOON), []);
-    assert!(other.engine.take_save(&mut stored));
+    assert_eq!(other.take_actions(), [Action::Store]);
     other.engine.saved(false);
     assert_eq!(other.exchange(&[], SOON), modbus(247, &[0x86, 4]), "the store failed");
 }
@@ -189,23 +190,23 @@ fn a_route_may_refuse_writes() {
     assert_eq!(world.modbus(32, &[6, 0, 0x60, 6, 0], SOON), [0x86, 1]);
     assert_eq!(world.nst(1, &[0x12, 0x01, 0xA7, 24], SOON), []);
     assert_eq!(world.nst(1, &READ, SOON), axes(1));
-    assert_eq!(world.engine.counters(Port::Host).refused, 2);
+    assert_eq!(world.engine.counters(Port::HOST).refused, 2);
 }
 
 #[test]
 fn host_silence_switches_the_local_outputs_off() {
     let mut world = World::new();
-    world.engine.set_inputs(0, [0; 4]);
+    world.engine.units_mut().1.set_inputs(0, [0; 4]);
     let limit = [6, 0, 0x42, 0, 100];
     assert_eq!(world.modbus(247, &limit, SOON), limit);
     world.modbus(31, &[16, 0, 4, 0, 4, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0], SOON);
     let on = [5, 2, 0, 0xFF, 0];
     assert_eq!(world.modbus(40, &on, SOON), on);
     world.pass(Duration::from_millis(200));
-    assert!(!world.engine.analog_outputs().channels[0].output);
-    assert_eq!(world.engine.analog_outputs().channels[0].set_value, 2.5, "set values stay");
-    assert_eq!(world.engine.digital_outputs(), 0);
+    assert!(!world.engine.units().0.settings().channels[0].output);
+    assert_eq!(world.engine.units().0.settings().channels[0].set_value, 2.5, "set values stay");
+    assert_eq!(world.engine.units().1.digital_outputs(), 0);
     let on = world.modbus(31, &[16, 0, 6, 0, 2, 4, 0, 1, 0, 0], SOON);
     assert_eq!(on, [16, 0, 6, 0, 2], "only the host switches on again");
-    assert!(world.engine.analog_outputs().channels[0].output);
+    assert!(world.engine.units().0.settings().channels[0].output);
 }

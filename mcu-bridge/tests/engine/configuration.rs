@@ -2,7 +2,9 @@
 
 use crate::world::{World, modbus};
 use crate::{LATER, READ, SOON, axes};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::RS485_A;
+use jointbus_mcu_bridge::engine::Action;
 use jointbus_protocol::time::Duration;
 
 const APPLY: [u8; 5] = [6, 0, 0, 0xA9, 0x91];
@@ -74,9 +76,9 @@ fn applying_again_starts_the_ten_seconds_again_and_leads_back_to_what_was_confir
     assert_eq!(registers(&mut world, 0x115, 1), [80], "twelve seconds after the first one");
     world.pass(Duration::from_millis(4500));
     assert_eq!(registers(&mut world, 0x115, 1), [50], "as it was confirmed, live and staged");
-    world.unplugged = vec![Port::Rs485A];
+    world.unplugged = vec![RS485_A];
     world.nst(16, &READ, Duration::from_millis(103));
-    assert_eq!(world.engine.counters(Port::Rs485A).timeouts, 1);
+    assert_eq!(world.engine.counters(RS485_A).timeouts, 1);
 }
 
 #[test]
@@ -85,8 +87,8 @@ fn what_waits_on_a_route_that_changes_is_told_and_the_other_buses_go_on() {
     world.held_back = Some(Vec::new());
     let reads =
         |first: u8| (0..3).flat_map(|index| modbus(32, &[4, 0, first + index, 0, 1])).collect::<Vec<_>>();
-    world.engine.receive(Port::Host, &reads(0x40), world.now);
-    world.engine.receive(Port::Host, &modbus(16, &READ), world.now);
+    world.engine.receive(Port::HOST, &reads(0x40), world.now);
+    world.engine.receive(Port::HOST, &modbus(16, &READ), world.now);
     world.pass(Duration::from_millis(20));
     assert_eq!(world.modbus(247, &[6, 1, 0x35, 0, 99], Duration::ZERO), [6, 1, 0x35, 0, 99]);
     let told = world.exchange(&modbus(247, &APPLY), Duration::ZERO);
@@ -94,7 +96,7 @@ fn what_waits_on_a_route_that_changes_is_told_and_the_other_buses_go_on() {
     assert_eq!(told, [modbus(247, &APPLY), refused].concat(), "one in flight, two that waited");
     // the sensor's answer comes, and belongs to its request as ever
     let mut held_back = world.held_back.take().unwrap().into_iter();
-    let (port, reply) = held_back.find(|(port, _)| *port == Port::Rs485A).unwrap();
+    let (port, reply) = held_back.find(|(port, _)| *port == RS485_A).unwrap();
     world.engine.receive(port, &reply, world.now);
     assert_eq!(world.exchange(&[], SOON), modbus(16, &axes(2)));
 }
@@ -102,7 +104,7 @@ fn what_waits_on_a_route_that_changes_is_told_and_the_other_buses_go_on() {
 #[test]
 fn a_route_that_changes_is_out_of_quarantine() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485A];
+    world.unplugged = vec![RS485_A];
     for _ in 0..3 {
         world.nst(16, &READ, LATER);
     }
@@ -123,9 +125,9 @@ fn defaults_are_staged_and_what_needs_no_apply_acts_at_once() {
     assert_eq!(world.modbus(247, &defaults, SOON), defaults);
     assert_eq!(registers(&mut world, 0x115, 1), [50], "staged");
     assert_eq!((registers(&mut world, 0x41, 1)[0], registers(&mut world, 0x51, 1)[0]), (1000, 0));
-    world.unplugged = vec![Port::Rs485A];
+    world.unplugged = vec![RS485_A];
     world.nst(16, &READ, Duration::from_millis(70));
-    assert_eq!(world.engine.counters(Port::Rs485A).timeouts, 0, "live are still the 77 ms");
+    assert_eq!(world.engine.counters(RS485_A).timeouts, 0, "live are still the 77 ms");
     world.pass(LATER);
     assert_eq!(world.modbus(247, &[4, 0, 9, 0, 1], SOON), [4, 2, 0, 0], "nothing waits for confirmation");
 }
@@ -135,6 +137,6 @@ fn the_reboot_command_is_answered_and_handed_to_the_firmware_once() {
     let mut world = World::new();
     let reboot = [6, 0, 0, 0xB0, 0x07];
     assert_eq!(world.modbus(247, &reboot, SOON), reboot);
-    assert!(world.engine.take_command().is_some());
-    assert!(world.engine.take_command().is_none());
+    assert_eq!(world.take_actions(), [Action::Reboot]);
+    assert_eq!(world.take_actions(), []);
 }

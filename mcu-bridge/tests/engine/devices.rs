@@ -2,7 +2,8 @@
 
 use crate::world::{World, modbus};
 use crate::{LATER, READ, SOON, axes};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_B};
 
 #[test]
 fn two_sensors_with_the_same_address_are_told_apart() {
@@ -31,7 +32,7 @@ fn long_reads_over_can_are_split_and_joined() {
         assert_eq!(reply[..2], [0x03, length]);
         assert_eq!(reply[2..], world.can_daq.hardware().settings[..length.into()], "{length} bytes");
     }
-    assert_eq!(world.engine.counters(Port::Can).sent, 1 + 3 * 2, "a frame a part");
+    assert_eq!(world.engine.counters(CAN).sent, 1 + 3 * 2, "a frame a part");
 }
 
 #[test]
@@ -77,15 +78,16 @@ fn an_unknown_function_code_is_delimited_by_silence_and_forwarded() {
 #[test]
 fn noise_in_place_of_an_open_reply_wakes_the_bridge_once() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], SOON), []);
     assert_eq!(world.sent.len(), 1);
-    world.engine.receive(Port::Rs485B, &[0xDE; 13], world.now);
+    world.engine.receive(RS485_B, &[0xDE; 13], world.now);
     let pause = world.engine.poll_at().expect("silence ends it");
-    world.engine.poll(pause);
+    world.now = pause;
+    world.poll();
     let next = world.engine.poll_at().expect("the timeout");
     assert!(next > pause, "due at {pause:?}, and at {next:?} again");
-    assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 1);
+    assert_eq!(world.engine.counters(RS485_B).foreign_or_late, 1);
     assert_eq!(world.exchange(&[], LATER), modbus(32, &[0xC1, 0x0B]));
 }
 
@@ -94,15 +96,15 @@ fn the_boards_own_units_answer() {
     let mut world = World::new();
     assert_eq!(world.modbus(31, &[16, 0, 4, 0, 4, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0], SOON), [16, 0, 4, 0, 4]);
     assert_eq!(world.modbus(31, &[3, 0, 4, 0, 4], SOON), [3, 8, 0, 0, 0x40, 0x20, 0, 1, 0, 0]);
-    assert_eq!(world.engine.analog_outputs().channels[0].set_value, 2.5);
-    assert!(world.engine.analog_outputs().channels[0].output);
+    assert_eq!(world.engine.units().0.settings().channels[0].set_value, 2.5);
+    assert!(world.engine.units().0.settings().channels[0].output);
     assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [0x84, 4], "not measured yet");
-    world.engine.set_inputs(0x00A5, [1, 2, 3, 4]);
+    world.engine.units_mut().1.set_inputs(0x00A5, [1, 2, 3, 4]);
     assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [4, 2, 0, 0xA5]);
     assert_eq!(world.modbus(40, &[4, 0, 0x43, 0, 1], SOON), [4, 2, 0, 4]);
     assert_eq!(world.modbus(40, &[5, 2, 0, 0xFF, 0], SOON), [5, 2, 0, 0xFF, 0]);
-    assert_eq!(world.engine.digital_outputs(), 1);
-    world.engine.set_inputs(0x005A, None);
+    assert_eq!(world.engine.units().1.digital_outputs(), 1);
+    world.engine.units_mut().1.set_inputs(0x005A, None);
     assert_eq!(world.modbus(40, &[4, 0, 0x40, 0, 1], SOON), [0x84, 4], "not measured any more");
     assert_eq!(world.modbus(40, &[4, 0, 0, 0, 1], SOON), [4, 2, 0, 0x5A]);
 }
@@ -110,30 +112,30 @@ fn the_boards_own_units_answer() {
 #[test]
 fn broadcasts_reach_their_buses_and_are_never_answered() {
     let mut world = World::new();
-    world.engine.set_inputs(0, [0; 4]);
+    world.engine.units_mut().1.set_inputs(0, [0; 4]);
     assert_eq!(world.exchange(&modbus(0, &[5, 2, 0, 0xFF, 0]), SOON), []);
     assert_eq!(world.station.modules()[0].outputs, 1);
-    assert_eq!(world.engine.digital_outputs(), 1);
+    assert_eq!(world.engine.units().1.digital_outputs(), 1);
     assert_eq!(world.exchange(&modbus(0, &[3, 0, 0, 0, 1]), SOON), []);
-    assert_eq!(world.engine.counters(Port::Host).refused, 1, "reads are no broadcasts");
+    assert_eq!(world.engine.counters(Port::HOST).refused, 1, "reads are no broadcasts");
     assert_eq!(world.exchange(&modbus(255, &[0x12, 0x01, 0xA7, 24]), SOON), []);
     assert_eq!(world.sent.last().unwrap().2, modbus(255, &[0x12, 0x01, 0xA7, 24]));
     world.serial_daq.restart();
     assert_eq!(world.serial_daq.sample().0, [0; 6]);
     assert_eq!(world.exchange(&modbus(255, &[16, 0, 6, 0, 2, 4, 0, 1, 0, 0]), SOON), []);
-    assert!(world.engine.analog_outputs().channels[0].output);
+    assert!(world.engine.units().0.settings().channels[0].output);
 }
 
 #[test]
 fn unknown_units_and_broken_frames_end_with_silence() {
     let mut world = World::new();
     assert_eq!(world.exchange(&modbus(99, &[3, 0, 0, 0, 1]), SOON), []);
-    assert_eq!(world.engine.counters(Port::Host).refused, 1);
+    assert_eq!(world.engine.counters(Port::HOST).refused, 1);
     let mut broken = modbus(32, &[4, 0, 0x40, 0, 1]);
     broken[3] ^= 1;
     let good = modbus(32, &[4, 0, 0x40, 0, 1]);
     assert_eq!(world.exchange(&[broken, good.clone()].concat(), SOON), [], "not without silence");
-    let counters = world.engine.counters(Port::Host);
+    let counters = world.engine.counters(Port::HOST);
     assert_eq!((counters.checksum_errors, counters.dropped_bursts, counters.refused), (1, 1, 1));
     assert_eq!(
         world.exchange(&[&[0x20][..], &good].concat(), SOON),
@@ -141,13 +143,13 @@ fn unknown_units_and_broken_frames_end_with_silence() {
         "a stray byte"
     );
     assert_eq!(world.exchange(&modbus(16, &[0x04, 0, 0, 1]), SOON), [], "no function code of NST");
-    assert!(world.sent.iter().all(|(_, port, _)| *port == Port::Rs485B));
+    assert!(world.sent.iter().all(|(_, port, _)| *port == RS485_B));
 }
 
 #[test]
 fn an_unknown_function_code_counts_as_a_write() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     assert_eq!(world.modbus(32, &[0x41, 1, 2, 3], LATER), [0xC1, 0x0B]);
     assert_eq!(world.sent.len(), 1, "it is not retried");
     for request in [[6, 1, 0x3A, 0, 1], [6, 0, 0, 0xA9, 0x91]] {

@@ -2,7 +2,8 @@
 
 use crate::world::{World, modbus};
 use crate::{LATER, READ, SOON, axes};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_A, RS485_B};
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Duration;
 
@@ -20,14 +21,14 @@ fn the_station_gets_its_silence_between_frames() {
 #[test]
 fn an_unplugged_device_is_told_in_time_and_comes_back() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485A, Port::Rs485B, Port::Can];
+    world.unplugged = vec![RS485_A, RS485_B, CAN];
     let read = [4, 0, 0x40, 0, 1];
     assert_eq!(world.modbus(32, &read, Duration::from_millis(390)), []);
     world.pass(Duration::from_millis(100));
     assert_eq!(world.exchange(&[], Duration::ZERO), modbus(32, &[0x84, 0x0B]), "after the retry");
     assert_eq!(world.nst(16, &READ, LATER), []);
     assert_eq!(world.nst(1, &READ, LATER), []);
-    for (port, timeouts) in [(Port::Rs485A, 2), (Port::Rs485B, 2), (Port::Can, 2)] {
+    for (port, timeouts) in [(RS485_A, 2), (RS485_B, 2), (CAN, 2)] {
         let counters = world.engine.counters(port);
         assert_eq!((counters.timeouts, counters.retries), (timeouts, 1), "{port:?}");
     }
@@ -40,7 +41,7 @@ fn an_unplugged_device_is_told_in_time_and_comes_back() {
 #[test]
 fn a_dead_device_is_refused_at_once_and_probed_until_it_answers() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     let read = [4, 0, 0x40, 0, 1];
     for _ in 0..3 {
         assert_eq!(world.modbus(32, &read, LATER), [0x84, 0x0B]);
@@ -50,8 +51,8 @@ fn a_dead_device_is_refused_at_once_and_probed_until_it_answers() {
     let sent = world.sent.len();
     assert_eq!(world.modbus(32, &read, Duration::from_millis(900)), [0x84, 0x0B], "the probe");
     assert_eq!(world.sent.len(), sent + 1, "without retry");
-    world.engine.receive(Port::Host, &modbus(32, &read), world.now);
-    assert_eq!(world.engine.output(Port::Host), modbus(32, &[0x84, 0x0B]), "at once");
+    world.engine.receive(Port::HOST, &modbus(32, &read), world.now);
+    assert_eq!(world.engine.output(Port::HOST), modbus(32, &[0x84, 0x0B]), "at once");
     world.exchange(&[], Duration::from_millis(200));
     assert_eq!(world.sent.len(), sent + 1);
     world.unplugged.clear();
@@ -63,7 +64,7 @@ fn a_dead_device_is_refused_at_once_and_probed_until_it_answers() {
 #[test]
 fn a_write_as_a_probe_holds_its_bus_no_longer_than_a_read() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485A];
+    world.unplugged = vec![RS485_A];
     for _ in 0..3 {
         assert_eq!(world.nst(16, &READ, LATER), []);
     }
@@ -71,7 +72,7 @@ fn a_write_as_a_probe_holds_its_bus_no_longer_than_a_read() {
     world.unplugged.clear();
     world.held_back = Some(Vec::new());
     let write = [0x12, 0x01, 0xA7, 24];
-    world.engine.receive(Port::Host, &modbus(16, &write), world.now);
+    world.engine.receive(Port::HOST, &modbus(16, &write), world.now);
     world.pass(Duration::from_millis(60));
     let (port, late) = world.held_back.take().unwrap().remove(0);
     let quarantined = |world: &mut World| world.modbus(247, &[4, 2, 4, 0, 1], SOON)[3] != 0;
@@ -88,7 +89,7 @@ fn a_write_as_a_probe_holds_its_bus_no_longer_than_a_read() {
 #[test]
 fn writes_are_never_sent_twice() {
     let mut world = World::new();
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     assert_eq!(world.modbus(32, &[6, 0, 0x60, 6, 0], LATER), [0x86, 0x0B]);
     assert_eq!(world.sent.len(), 1);
 }
@@ -103,7 +104,7 @@ fn a_late_reply_is_given_to_no_other_request() {
     assert_eq!(late.len(), 2, "the read and its retry are owed");
     // the same function code has to wait for what is owed, another one need not
     world.station.modules()[0].analog_inputs = [0x2222; 16];
-    world.engine.receive(Port::Host, &modbus(32, &[4, 0, 0x41, 0, 1]), world.now);
+    world.engine.receive(Port::HOST, &modbus(32, &[4, 0, 0x41, 0, 1]), world.now);
     assert_eq!(world.modbus(33, &[3, 0, 0x60, 0, 1], Duration::from_millis(30)), [], "no such module");
     assert_eq!(world.sent.len(), 3);
     for (port, reply) in late {
@@ -113,7 +114,7 @@ fn a_late_reply_is_given_to_no_other_request() {
     let replies = world.exchange(&[], Duration::ZERO);
     assert!(replies.ends_with(&modbus(32, &[4, 2, 0x22, 0x22])), "{replies:02x?}");
     assert!(!replies.windows(2).any(|pair| pair == [0x11, 0x11]));
-    assert_eq!(world.engine.counters(Port::Rs485B).foreign_or_late, 2);
+    assert_eq!(world.engine.counters(RS485_B).foreign_or_late, 2);
 }
 
 #[test]
@@ -140,10 +141,10 @@ fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     world.held_back = Some(Vec::new());
     assert_eq!(world.nst(16, &READ, Duration::from_millis(40)), []);
     for _ in 0..400 {
-        world.engine.receive(Port::Rs485A, &[0x55], world.now);
+        world.engine.receive(RS485_A, &[0x55], world.now);
         world.pass(Duration::from_micros(200));
     }
-    let counters = world.engine.counters(Port::Rs485A);
+    let counters = world.engine.counters(RS485_A);
     assert_eq!((counters.timeouts, counters.retries, counters.expired), (1, 0, 0));
     assert_eq!(world.sent.len(), 1);
     world.held_back = None;
@@ -154,11 +155,11 @@ fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
 
     // on CAN, where nobody acknowledges the retry
     let mut world = World::new();
-    world.unplugged = vec![Port::Can];
+    world.unplugged = vec![CAN];
     assert_eq!(world.nst(1, &READ, Duration::from_millis(40)), []);
     world.acknowledge = false;
     assert_eq!(world.nst(1, &[0x03, 0, 0, 1], Duration::from_millis(61)), []);
-    let counters = world.engine.counters(Port::Can);
+    let counters = world.engine.counters(CAN);
     assert_eq!(
         (counters.sent, counters.timeouts, counters.retries),
         (1, 2, 1),
@@ -166,12 +167,12 @@ fn a_reply_is_owed_even_if_the_retry_was_never_sent() {
     );
     world.acknowledge = true;
     world.pass(Duration::from_millis(10));
-    let sent = world.engine.counters(Port::Can).sent;
+    let sent = world.engine.counters(CAN).sent;
     world.unplugged.clear();
     assert_eq!(world.nst(1, &READ, Duration::from_millis(30)), [], "the first reply may still come");
-    assert_eq!(world.engine.counters(Port::Can).sent, sent);
+    assert_eq!(world.engine.counters(CAN).sent, sent);
     world.pass(Duration::from_millis(30));
-    assert_eq!(world.engine.counters(Port::Can).sent, sent + 1);
+    assert_eq!(world.engine.counters(CAN).sent, sent + 1);
 }
 
 #[test]
@@ -183,26 +184,26 @@ fn a_port_that_hears_itself_drops_its_echo_and_counts_collisions() {
     }
     // the echo of this write is what its response would be
     world.echo = Some(Vec::new());
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     assert_eq!(world.modbus(32, &request, LATER), [0x85, 0x0B], "an echo is no answer");
     world.unplugged.clear();
     assert_eq!(world.modbus(32, &request, LATER), request);
-    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 0);
+    assert_eq!(world.engine.counters(RS485_B).transmit_errors, 0);
     world.echo = Some(vec![0x55; 8]);
     assert_eq!(world.modbus(32, &request, LATER), request, "answered in spite of it");
-    world.unplugged = vec![Port::Rs485B];
+    world.unplugged = vec![RS485_B];
     world.modbus(32, &request, LATER);
-    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 1, "another was heard");
+    assert_eq!(world.engine.counters(RS485_B).transmit_errors, 1, "another was heard");
     world.echo = None;
     world.modbus(32, &request, LATER);
-    assert_eq!(world.engine.counters(Port::Rs485B).transmit_errors, 2, "nothing was heard");
+    assert_eq!(world.engine.counters(RS485_B).transmit_errors, 2, "nothing was heard");
 }
 
 #[test]
 fn noise_before_a_reply_is_slid_over() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());
-    world.engine.receive(Port::Host, &modbus(16, &READ), world.now);
+    world.engine.receive(Port::HOST, &modbus(16, &READ), world.now);
     world.pass(Duration::from_millis(5));
     let (port, reply) = world.held_back.take().unwrap().remove(0);
     world.engine.receive(port, &[&[0x01, 0x03, 0x12, 0x55][..], &reply].concat(), world.now);
@@ -215,25 +216,25 @@ fn a_full_queue_is_told() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());
     let requests: Vec<u8> = (0..6).flat_map(|index| modbus(32, &[4, 0, 0x40 + index, 0, 1])).collect();
-    world.engine.receive(Port::Host, &requests, world.now);
-    assert_eq!(world.engine.output(Port::Host), modbus(32, &[0x84, 0x06]), "one in flight, four wait");
-    assert_eq!(world.engine.counters(Port::Host).refused, 1);
+    world.engine.receive(Port::HOST, &requests, world.now);
+    assert_eq!(world.engine.output(Port::HOST), modbus(32, &[0x84, 0x06]), "one in flight, four wait");
+    assert_eq!(world.engine.counters(Port::HOST).refused, 1);
 }
 
 #[test]
 fn a_request_that_finds_no_silence_is_never_sent_late() {
     let mut world = World::new();
     let write = modbus(32, &[6, 0, 0x60, 6, 0]);
-    world.engine.receive(Port::Rs485B, &[0x55], world.now);
-    world.engine.receive(Port::Host, &write, world.now);
+    world.engine.receive(RS485_B, &[0x55], world.now);
+    world.engine.receive(Port::HOST, &write, world.now);
     let mut told = Vec::new();
     for _ in 0..250 {
         told.extend(world.exchange(&[], Duration::from_millis(5)));
         // somebody babbles
-        world.engine.receive(Port::Rs485B, &[0x55], world.now);
+        world.engine.receive(RS485_B, &[0x55], world.now);
     }
     assert_eq!(told, modbus(32, &[0x86, 0x0B]));
-    let counters = world.engine.counters(Port::Rs485B);
+    let counters = world.engine.counters(RS485_B);
     assert_eq!((counters.expired, counters.timeouts, counters.sent), (1, 0, 0));
     assert_eq!(world.exchange(&[], LATER), [], "nor afterwards");
     assert_eq!(world.exchange(&write, SOON), write, "the line is silent again");
@@ -244,9 +245,9 @@ fn a_full_queue_of_nst_is_silent_and_counted() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());
     let requests: Vec<u8> = (0..7).flat_map(|index| modbus(16, &[3, 2, 0, 1 + index])).collect();
-    world.engine.receive(Port::Host, &requests, world.now);
-    assert_eq!(world.engine.output(Port::Host), []);
-    assert_eq!(world.engine.counters(Port::Host).refused, 2, "one in flight, four wait");
+    world.engine.receive(Port::HOST, &requests, world.now);
+    assert_eq!(world.engine.output(Port::HOST), []);
+    assert_eq!(world.engine.counters(Port::HOST).refused, 2, "one in flight, four wait");
 }
 
 #[test]
@@ -256,7 +257,7 @@ fn what_expired_does_not_count_towards_quarantine() {
     for _ in 0..5 {
         assert_eq!(world.nst(1, &READ, Duration::from_millis(150)), []);
     }
-    assert_eq!(world.engine.counters(Port::Can).expired, 5);
+    assert_eq!(world.engine.counters(CAN).expired, 5);
     assert_eq!(world.modbus(247, &[4, 2, 0, 0, 1], SOON), [4, 2, 0, 0]);
     world.acknowledge = true;
     assert_eq!(world.nst(1, &READ, SOON), axes(1), "the device was never to blame");
@@ -273,7 +274,7 @@ fn the_silence_that_ends_a_burst_can_be_set() {
     assert_eq!(world.modbus(247, &[6, 0, 0x43, 0, 100], SOON), [6, 0, 0x43, 0, 100]);
     world.exchange(first, Duration::from_millis(15));
     assert_eq!(world.exchange(rest, SOON), []);
-    let counters = world.engine.counters(Port::Host);
+    let counters = world.engine.counters(Port::HOST);
     assert_eq!((counters.dropped_bursts, counters.refused), (1, 1), "the second half starts like unit 64");
 }
 
@@ -282,10 +283,10 @@ fn a_slow_host_link_loses_no_reply() {
     let mut world = World::new();
     // nobody fetches replies: requests are held back before room runs out
     for _ in 0..40 {
-        world.engine.receive(Port::Host, &modbus(247, &[4, 0, 0, 0, 125]), world.now);
+        world.engine.receive(Port::HOST, &modbus(247, &[4, 0, 0, 0, 125]), world.now);
     }
-    let length = world.engine.output(Port::Host).len();
-    let (mut rest, mut full, mut busy) = (world.engine.output(Port::Host), 0, 0);
+    let length = world.engine.output(Port::HOST).len();
+    let (mut rest, mut full, mut busy) = (world.engine.output(Port::HOST), 0, 0);
     while !rest.is_empty() {
         let size = if rest[1] == 4 { 255 } else { 5 };
         assert!(rtu::Frame::decode(&rest[..size]).is_ok());
@@ -293,7 +294,7 @@ fn a_slow_host_link_loses_no_reply() {
         rest = &rest[size..];
     }
     assert_eq!(full + busy, 40, "{length} bytes");
-    assert_eq!(world.engine.counters(Port::Host).refused, busy);
+    assert_eq!(world.engine.counters(Port::HOST).refused, busy);
 }
 
 #[test]
@@ -316,7 +317,7 @@ fn a_copy_of_a_late_reply_settles_nothing_that_another_attempt_owes() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());
     // the first attempt's reply comes while the second one waits for its own: twice
-    world.engine.receive(Port::Host, &modbus(16, &READ), world.now);
+    world.engine.receive(Port::HOST, &modbus(16, &READ), world.now);
     world.pass(Duration::from_millis(70));
     let (port, reply) = world.held_back.replace(Vec::new()).unwrap().remove(0);
     world.engine.receive(port, &reply.repeat(2), world.now);

@@ -1,7 +1,8 @@
 //! An engine with devices on its buses, in virtual time: every call made_progress to the engine's next deadline.
 
-use jointbus_mcu_bridge::engine::config::Port;
-use jointbus_mcu_bridge::engine::{Engine, Identity, ResetCause};
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, Engine, RS485_A, RS485_B};
+use jointbus_mcu_bridge::engine::{Action, Identity, ResetCause};
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::modbus::{self, ascii, rtu};
 use jointbus_protocol::ndam9010::{Layout, RamModule, Station};
@@ -22,6 +23,10 @@ pub(crate) struct World {
     pub(crate) unplugged: Vec<Port>,
     /// Answers are kept back instead of sent.
     pub(crate) held_back: Option<Vec<(Port, Vec<u8>)>>,
+    /// What the engine asked for, but for frames to be given up.
+    pub(crate) actions: Vec<Action>,
+    /// CAN frames are to be given up.
+    pub(crate) aborting: bool,
     /// Every frame that went onto a serial bus, and when.
     pub(crate) sent: Vec<(Instant, Port, Vec<u8>)>,
     /// Whether anybody acknowledges CAN frames.
@@ -52,6 +57,8 @@ impl World {
             station: Station::new([RamModule::new(layout)], 1).unwrap(),
             unplugged: Vec::new(),
             held_back: None,
+            actions: Vec::new(),
+            aborting: false,
             sent: Vec::new(),
             acknowledge: true,
             quirk: false,
@@ -63,7 +70,7 @@ impl World {
 
     /// Sends bytes from the host and lets `span` pass; what came back.
     pub(crate) fn exchange(&mut self, bytes: &[u8], span: Duration) -> Vec<u8> {
-        self.engine.receive(Port::Host, bytes, self.now);
+        self.engine.receive(Port::HOST, bytes, self.now);
         self.pass(span);
         std::mem::take(&mut self.host)
     }
@@ -84,18 +91,37 @@ impl World {
                 }
                 None => break,
             }
-            self.engine.poll(self.now);
+            self.poll();
         }
         self.now = end;
-        self.engine.poll(end);
+        self.poll();
         self.settle();
+    }
+
+    /// Lets the engine do what is due, and notes what it asks for.
+    pub(crate) fn poll(&mut self) {
+        while let Some(action) = self.engine.poll(self.now) {
+            match action {
+                Action::AbortCan(CAN) => self.aborting = true,
+                other => self.actions.push(other),
+            }
+        }
+    }
+
+    /// Takes what the engine asked for since this was asked last, but for outputs that were written.
+    pub(crate) fn take_actions(&mut self) -> Vec<Action> {
+        self.poll();
+        let mut actions = std::mem::take(&mut self.actions);
+        actions.retain(|action| *action != Action::Outputs);
+        actions
     }
 
     /// Carries bytes and frames until nothing moves.
     fn settle(&mut self) {
         loop {
+            self.poll();
             let mut moved = self.host_output();
-            for port in [Port::Rs485A, Port::Rs485B] {
+            for port in [RS485_A, RS485_B] {
                 moved |= self.serial_bus(port);
             }
             moved |= self.can_bus();
@@ -106,8 +132,8 @@ impl World {
     }
 
     fn host_output(&mut self) -> bool {
-        let pending = self.engine.output(Port::Host).to_vec();
-        self.engine.advance(Port::Host, pending.len());
+        let pending = self.engine.output(Port::HOST).to_vec();
+        self.engine.advance(Port::HOST, pending.len());
         self.host.extend_from_slice(&pending);
         !pending.is_empty()
     }
@@ -132,7 +158,7 @@ impl World {
         self.sent.push((self.now, port, frame.clone()));
         let mut out = [0; 600];
         let reply = match port {
-            Port::Rs485A => self.serial_daq.serve_serial(&frame, &mut out).ok(),
+            RS485_A => self.serial_daq.serve_serial(&frame, &mut out).ok(),
             _ if frame.first() == Some(&b':') => {
                 let mut content = [0; ascii::CONTENT_MAX + 1];
                 let frame = ascii::Frame::decode(&frame, &mut content).expect("an ASCII frame");
@@ -157,17 +183,17 @@ impl World {
     }
 
     fn can_bus(&mut self) -> bool {
-        if self.engine.wants_abort() {
-            self.engine.frames_aborted(self.now);
+        if std::mem::take(&mut self.aborting) {
+            self.engine.frames_aborted(CAN, self.now);
             return true;
         }
-        let Some(frame) = self.engine.next_frame() else { return false };
+        let Some(frame) = self.engine.next_frame(CAN) else { return false };
         if !self.acknowledge {
             return true;
         }
         self.tick(130);
-        self.engine.frame_sent(self.now);
-        if self.unplugged.contains(&Port::Can) {
+        self.engine.frame_sent(CAN, self.now);
+        if self.unplugged.contains(&CAN) {
             return true;
         }
         let (mut data, mut out) = ([0; 250], [0; 252]);
@@ -186,7 +212,7 @@ impl World {
             let frames: Vec<Frame> = nst::can::segment(address, source, &out[..length]).unwrap().collect();
             for frame in frames {
                 self.tick(130);
-                self.engine.receive_frame(&frame, self.now);
+                self.engine.receive_frame(CAN, &frame, self.now);
             }
         }
         true

@@ -8,7 +8,8 @@ use std::env;
 use anyhow::{Context, Result, ensure};
 use jointbus_host_tests::sim::can_bits::{INTERMISSION, length};
 use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, World};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::CAN;
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::checksum::crc16;
@@ -68,7 +69,7 @@ fn settings(latency: Nanos, device: Nanos) -> Settings {
 /// Reads one behind the other: the time that the bridge adds to one at most, in ns, and reads a second.
 fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let settings = settings(latency, device);
-    let baud = u64::from(settings.network.port(Port::Host).baud());
+    let baud = u64::from(settings.network.ports[Port::HOST.index()].baud());
     let byte = 10 * SECONDS / baud;
     let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut world = World::new(settings, &mut queues);
@@ -105,7 +106,7 @@ fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
 fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     const SLOTS: u8 = 8;
     let settings = settings(latency, device);
-    let rate = u64::from(settings.network.port(Port::Can).rate) * 1000;
+    let rate = u64::from(settings.network.ports[CAN.index()].rate) * 1000;
     let nodes = settings.nodes;
     let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
     let mut world = World::new(settings, &mut queues);

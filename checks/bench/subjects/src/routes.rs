@@ -1,6 +1,7 @@
 //! The bridge's routing table, asked for the unit that stands last in it.
 
-use jointbus_mcu_bridge::engine::config::{ROUTES, Route, Target, Topology};
+use jointbus_mcu_bridge::board::{ROUTES, Route, Target, Topology};
+use jointbus_mcu_bridge::boards::stm32f405::BOARD;
 use jointbus_mcu_bridge::engine::router::Router;
 
 use crate::{FRAME_MAX, Kind, Subject};
@@ -15,10 +16,10 @@ impl<const COUNT: usize> Subject for Routes<COUNT> {
     const KIND: Kind = Kind::Routes;
 
     fn new() -> Self {
-        let mut network = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::default() };
+        let mut network = Topology { routes: [Route::UNUSED; ROUTES], ..Topology::of(BOARD) };
         let units = (1..=UNIT).rev().take(COUNT).rev();
         for (row, unit) in network.routes.iter_mut().zip(units) {
-            *row = Route { first_unit: unit, last_unit: unit, bus: Target::Bridge, ..Route::UNUSED };
+            *row = Route { first_unit: unit, last_unit: unit, target: Target::Bridge, ..Route::UNUSED };
         }
         Self(Router::new(&network))
     }

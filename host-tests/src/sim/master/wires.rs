@@ -2,7 +2,8 @@
 
 use super::{Asked, Broadcast, FRAME, Master, port_of};
 use crate::sim::moment::Moment;
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::CAN;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
 use jointbus_protocol::nst::can::{FrameType, Identifier, READ_MAX, WRITE_MAX};
@@ -40,7 +41,7 @@ impl Master {
         // the number of a write follows its header
         let payload = *frame.payload();
         let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
-        self.passes(Port::Can, identifier.destination, &head, start, now, |asked| {
+        self.passes(CAN, identifier.destination, &head, start, now, |asked| {
             let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
                 return false;
             };
@@ -59,10 +60,10 @@ impl Master {
         let whole = matches!(identifier.frame_type, FrameType::Single | FrameType::Last);
         if matches!(identifier.frame_type, FrameType::Single | FrameType::First) {
             self.broadcast_head = frame.data().to_vec();
-            self.passes_all(Port::Can, &self.broadcast_head.clone(), whole, start, now);
+            self.passes_all(CAN, &self.broadcast_head.clone(), whole, start, now);
         } else if whole {
             let head = self.broadcast_head.clone();
-            self.passes_all(Port::Can, &head, true, Moment::default(), now);
+            self.passes_all(CAN, &head, true, Moment::default(), now);
         }
     }
 
@@ -96,7 +97,7 @@ impl Master {
         };
         // of a split transfer the first part counts
         let first_part = head.get(1..3) == asked.body.get(1..3);
-        let limit = if port == Port::Can { asked.expires.saturating_add(FRAME) } else { asked.expires };
+        let limit = if port == CAN { asked.expires.saturating_add(FRAME) } else { asked.expires };
         let question = asked.question;
         if first_part && start > limit {
             self.tally.violation(now, || {
@@ -127,8 +128,7 @@ impl Master {
         let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
             return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
         };
-        let limit =
-            if port == Port::Can { broadcast.expires.saturating_add(FRAME) } else { broadcast.expires };
+        let limit = if port == CAN { broadcast.expires.saturating_add(FRAME) } else { broadcast.expires };
         if is_whole {
             broadcast.to.retain(|to| *to != port);
             self.tally.copies[1] += 1;

@@ -6,7 +6,8 @@ use crate::sim::random::Random;
 use crate::sim::run::{Plan, Run};
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_A, RS485_B};
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use std::ops::Range;
 
@@ -30,9 +31,9 @@ fn one(seed: u64) -> Found {
     let mut random = Random::new(seed ^ 0xDEAD);
     let settings = Settings::new(seed);
     let (port, units, (cycle, span)) = match random.below(3) {
-        0 => (Port::Rs485A, [16, 17, 18, 19, 20], FAST),
-        1 => (Port::Rs485B, [32, 33, 34, 35, 36], SLOW),
-        _ => (Port::Can, [1, 2, 3, 4, 5], FAST),
+        0 => (RS485_A, [16, 17, 18, 19, 20], FAST),
+        1 => (RS485_B, [32, 33, 34, 35, 36], SLOW),
+        _ => (CAN, [1, 2, 3, 4, 5], FAST),
     };
     let victim = random.index(DEVICES);
     let probe = Nanos::from(settings.limits.probe_period_ms) * MILLIS;

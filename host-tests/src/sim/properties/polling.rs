@@ -184,7 +184,7 @@ impl<'q> Course<'q> {
         }
         self.sequence = slot.sequence;
         self.compared += 1;
-        let stamp = Moment::of(slot.stamp);
+        let stamp = Moment::of(slot.timestamp);
         match spelt_moment(&slot.sample).map(Moment::of) {
             None => found.violation(format!("cargo xtask soak: sample {} is torn", slot.sequence)),
             Some(measured) if measured > stamp => {

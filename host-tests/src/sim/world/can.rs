@@ -6,7 +6,7 @@ use crate::sim::can_wire::{Ended, Ending};
 use crate::sim::fault::Fault;
 use crate::sim::moment::Moment;
 use crate::sim::station::{self, timeout_of};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::boards::stm32f405::CAN;
 use jointbus_protocol::can::Frame;
 
 impl World<'_> {
@@ -35,7 +35,7 @@ impl World<'_> {
             recorder.frame(self.now, &ended.frame);
         }
         if own {
-            self.board.on_sent();
+            self.board.on_sent(self.now.instant());
             self.interrupt();
             self.notices.push_back(Notice::CanFrame { frame: ended.frame, start: ended.start });
         }
@@ -56,7 +56,7 @@ impl World<'_> {
         let station = &mut self.nodes[node];
         let mut reply = station.hear(frame, self.now);
         if let Some((address, order)) = station.new_orders() {
-            self.notices.push_back(Notice::Ordered { port: Port::Can, address, order });
+            self.notices.push_back(Notice::Ordered { port: CAN, address, order });
         }
         if reply.is_empty() {
             return;

@@ -54,7 +54,7 @@ impl World<'_> {
         self.start_byte_to_host();
         // room in the queue, or the end of a transmission
         if !self.uarts[0].sending {
-            self.uarts[0].queues.transmitter().transmitted();
+            self.uarts[0].queues.transmitter().transmitted(micros(self.now));
             self.interrupt();
         }
     }

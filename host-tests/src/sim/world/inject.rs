@@ -5,7 +5,8 @@ use crate::sim::can_wire::Disturbance;
 use crate::sim::fault::{Fault, Place};
 use crate::sim::line::Tamper;
 use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
-use jointbus_mcu_bridge::engine::config::Port;
+use jointbus_mcu_bridge::board::Port;
+use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_A, RS485_B};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::segment;
 
@@ -19,8 +20,8 @@ impl World<'_> {
     /// the host's business.
     pub fn inject(&mut self, fault: Fault) -> Moment {
         let port = match fault {
-            Fault::ReplyException => Port::Rs485B,
-            _ => self.random.pick(&[Port::Rs485A, Port::Rs485B]),
+            Fault::ReplyException => RS485_B,
+            _ => self.random.pick(&[RS485_A, RS485_B]),
         };
         self.inject_at(fault, port)
     }
@@ -28,7 +29,7 @@ impl World<'_> {
     /// The same, on this RS485 line if it is a fault of such a line.
     pub fn inject_at(&mut self, fault: Fault, port: Port) -> Moment {
         match fault.place() {
-            Place::Serial => self.inject_serial(fault, usize::from(port == Port::Rs485B)),
+            Place::Serial => self.inject_serial(fault, usize::from(port == RS485_B)),
             Place::Can => self.inject_can(fault),
             Place::Host => self.now,
         }
@@ -37,10 +38,10 @@ impl World<'_> {
     /// Takes the power of a device, or one module of a station, until that moment.
     pub fn set_absent(&mut self, port: Port, index: usize, until: Moment) {
         match port {
-            Port::Host => {}
-            Port::Rs485A => self.lines[0].devices[index].absent = until,
-            Port::Rs485B => self.lines[1].devices[0].without = (until > self.now).then_some(index),
-            Port::Can => self.darken(&[index], until),
+            RS485_A => self.lines[0].devices[index].absent = until,
+            RS485_B => self.lines[1].devices[0].without = (until > self.now).then_some(index),
+            CAN => self.darken(&[index], until),
+            _ => {}
         }
     }
 
@@ -116,7 +117,7 @@ impl World<'_> {
         let (now, span) = (self.now, self.span());
         let sender = self.random.index(1 + self.nodes.len());
         let intruder = self.nodes.len() + 1;
-        let own = self.settings.network.port(Port::Can).node;
+        let own = self.settings.network.ports[CAN.index()].node;
         match fault {
             Fault::CanBit => {
                 let at = self.random.between(1, 120);

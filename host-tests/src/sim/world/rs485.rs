@@ -73,7 +73,7 @@ impl World<'_> {
     fn end_bridge_frame(&mut self, line: usize) {
         let uart = &mut self.uarts[line + 1];
         uart.sending = false;
-        uart.queues.transmitter().transmitted();
+        uart.queues.transmitter().transmitted(micros(self.now));
         let bus = &mut self.lines[line];
         let hold = std::mem::take(&mut bus.hold);
         if hold > 0 {

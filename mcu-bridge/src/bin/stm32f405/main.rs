@@ -34,10 +34,9 @@ mod app {
     use crate::{clocks, fpu, pins, reset};
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use jointbus_mcu_bridge::engine::config::Port;
-    use jointbus_mcu_bridge::engine::{
-        Command, Engine, Health, Identity, ResetCause, STORED_LENGTH, Storage,
-    };
+    use jointbus_mcu_bridge::board::Port;
+    use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, Engine, RS485_A, RS485_B, Storage};
+    use jointbus_mcu_bridge::engine::{Action, Health, Identity, ResetCause, STORED_LENGTH};
     use jointbus_mcu_bridge::io::serial::{
         MainHalf, RX_CAPACITY, RX_CAPACITY_RESPONSES, UartBuffers, extend_timestamp,
     };
@@ -51,6 +50,8 @@ mod app {
     #[derive(Default)]
     pub struct CanReports {
         sent: AtomicU32,
+        /// When the last of these was acknowledged: the low half of the microseconds since boot.
+        sent_micros: AtomicU32,
         transmit_errors: AtomicU32,
         receive_errors: AtomicU32,
         overrun: AtomicBool,
@@ -67,6 +68,7 @@ mod app {
 
     static CAN_REPORTS: CanReports = CanReports {
         sent: AtomicU32::new(0),
+        sent_micros: AtomicU32::new(0),
         transmit_errors: AtomicU32::new(0),
         receive_errors: AtomicU32::new(0),
         overrun: AtomicBool::new(false),
@@ -91,11 +93,19 @@ mod app {
     /// A serial port as the main loop has it.
     pub struct Line {
         port: Port,
-        part: Task,
         queues: MainHalf<'static>,
         interrupt: Interrupt,
         usart: Registers,
         bus_hz: u32,
+    }
+
+    /// What the engine asked for and takes more than one turn of the main loop.
+    #[derive(Default)]
+    struct Todo {
+        /// The CAN controller is to give up its frames.
+        abort: bool,
+        /// The chip is to be reset when the host has its answer.
+        reboot: bool,
     }
 
     #[shared]
@@ -155,9 +165,11 @@ mod app {
         let [second, third] = cx.local.buses;
         let (in1, main1) = cx.local.host.split();
         let ((in2, main2), (in3, main3)) = (second.split(), third.split());
-        let line = |port, part, queues, interrupt, usart, bus_hz| {
-            uart::configure(usart, bus_hz, engine.port(port));
-            Line { port, part, queues, interrupt, usart, bus_hz }
+        let line = |port, queues, interrupt, usart, bus_hz| {
+            if let Some(config) = engine.port(port) {
+                uart::configure(usart, bus_hz, config);
+            }
+            Line { port, queues, interrupt, usart, bus_hz }
         };
         let (usart1, usart2, usart3) =
             (Registers::of(device.USART1), Registers::of(device.USART2), Registers::of(device.USART3));
@@ -165,15 +177,17 @@ mod app {
         let uart2 = Uart::new(usart2, Some(&pins::DRIVER_A), in2);
         let uart3 = Uart::new(usart3, Some(&pins::DRIVER_B), in3);
         let lines = [
-            line(Port::Host, Task::Host, main1, Interrupt::USART1, usart1, pclk2),
-            line(Port::Rs485A, Task::Rs485A, main2, Interrupt::USART2, usart2, pclk1),
-            line(Port::Rs485B, Task::Rs485B, main3, Interrupt::USART3, usart3, pclk1),
+            line(Port::HOST, main1, Interrupt::USART1, usart1, pclk2),
+            line(RS485_A, main2, Interrupt::USART2, usart2, pclk1),
+            line(RS485_B, main3, Interrupt::USART3, usart3, pclk1),
         ];
 
         CAN1::enable(rcc);
         CAN1::reset(rcc);
-        let can_port = engine.port(Port::Can);
-        let can = bxcan::start(&device.CAN1, pclk1, can_port.rate, can_port.node).is_ok().then_some(pclk1);
+        let can = engine
+            .port(CAN)
+            .is_some_and(|port| bxcan::start(&device.CAN1, pclk1, port.rate, port.node).is_ok())
+            .then_some(pclk1);
         let (frames_in, frames) = cx.local.can_queue.split();
 
         engine.set_health(Health {
@@ -203,65 +217,72 @@ mod app {
     }
 
     #[idle(
-        local = [engine, clock, watchdog, inputs, outputs, lines, can, store, frames, rebooting: bool = false]
+        local = [engine, clock, watchdog, inputs, outputs, lines, can, store, frames]
     )]
     fn idle(cx: idle::Context) -> ! {
         let local = cx.local;
+        let engine: &mut Engine = local.engine;
         // what has advanced since the watchdog was fed
-        let mut marks = Heartbeats::new();
+        let ports = BOARD.ports().map(Task::Port);
+        let mut heartbeats = Heartbeats::new([Task::Tick, Task::Loop, Task::Inputs].into_iter().chain(ports));
+        let mut todo = Todo::default();
         loop {
             let now = local.clock.now();
             let analog = local.inputs.analog(now.as_micros() as u32);
-            local.engine.set_inputs(local.inputs.digital(), analog);
-            marks.set(Task::Inputs);
+            engine.units_mut().1.set_inputs(local.inputs.digital(), analog);
+            heartbeats.set(Task::Inputs);
             for line in local.lines.iter_mut() {
-                line.queues.drain_rx(local.engine, line.port, now);
+                line.queues.drain_rx(engine, line.port, now);
             }
             if local.frames.ready() || CAN_REPORTS.are_there() {
-                carry_can_in(local.engine, local.frames, now);
+                carry_can_in(engine, local.frames, now);
             }
-            poll(local.engine, now);
+            if local.can.is_some() {
+                engine.set_bus_off(CAN, bxcan::is_bus_off(can()), now);
+            }
+
+            while let Some(action) = engine.poll(now) {
+                match action {
+                    Action::Outputs => {
+                        local.outputs.apply(&engine.units().0.settings().channels);
+                        outputs::drive_digital(engine.units().1.digital_outputs());
+                    }
+                    Action::AbortCan(_) => todo.abort = true,
+                    Action::RestartCan(_) => restart_can(engine, local.can),
+                    Action::Configure(port) => configure(engine, local.lines, local.can, port),
+                    Action::Store => {
+                        local.watchdog.stretch();
+                        let stored = save(engine, local.store.as_mut());
+                        local.watchdog.relax();
+                        engine.saved(stored);
+                    }
+                    Action::Reboot => todo.reboot = true,
+                }
+            }
 
             for line in local.lines.iter_mut() {
-                if line.queues.fill_tx(local.engine, line.port) {
+                if line.queues.fill_tx(engine, line.port) {
                     rtic::pend(line.interrupt);
                 }
                 if line.queues.made_progress() {
-                    marks.set(line.part);
+                    heartbeats.set(Task::Port(line.port));
                 }
             }
             if local.can.is_some() {
-                carry_can_out(local.engine, now);
+                carry_can_out(engine, &mut todo, now);
             }
-            marks.set(Task::Can);
-            if local.engine.take_output_change() {
-                local.outputs.apply(&local.engine.analog_outputs().channels);
-            }
-            outputs::drive_digital(local.engine.digital_outputs());
-
-            if local.engine.has_port_change() {
-                change_ports(local.engine, local.lines, local.can);
-            }
-            if local.engine.wants_save() {
-                local.watchdog.stretch();
-                let stored = save(local.engine, local.store.as_mut());
-                local.watchdog.relax();
-                local.engine.saved(stored);
-            }
-            if let Some(Command::Reboot) = local.engine.take_command() {
-                *local.rebooting = true;
-            }
+            heartbeats.set(Task::Port(CAN));
             let [host, ..] = &local.lines;
-            if *local.rebooting && local.engine.output(host.port).is_empty() && host.queues.is_quiet() {
+            if todo.reboot && engine.output(host.port).is_empty() && host.queues.is_quiet() {
                 reset::by_command();
             }
             // a tick that comes between the two is one of many
             if TICKED.load(Ordering::Relaxed) {
                 TICKED.store(false, Ordering::Relaxed);
-                marks.set(Task::Tick);
+                heartbeats.set(Task::Tick);
             }
-            marks.set(Task::Loop);
-            if marks.take_all() {
+            heartbeats.set(Task::Loop);
+            if heartbeats.take_all() {
                 local.watchdog.feed();
             }
             // an interrupt between the look and the sleep ends the sleep at once
@@ -288,40 +309,36 @@ mod app {
     /// Gives the engine what is stored, if anything is; tells whether the store is readable.
     #[inline(never)]
     fn restore(engine: &mut Engine, store: Option<&mut Store<Sectors>>, now: Instant) -> bool {
-        let stored = store.map_or(Err(Unreadable), Store::load);
+        let stored = store.map_or(Err(Unreadable), |store| store.load(BOARD));
         if let Ok(Some(settings)) = &stored {
             engine.restore(settings, now);
-            // the ports are about to be started with them
-            for port in Port::ALL {
-                let _ = engine.take_port_change(port);
-            }
         }
         stored.is_ok()
     }
 
     #[inline(never)]
-    fn poll(engine: &mut Engine, now: Instant) {
-        engine.poll(now);
-    }
-
-    #[inline(never)]
-    fn save(engine: &mut Engine, store: Option<&mut Store<Sectors>>) -> bool {
+    fn save(engine: &Engine, store: Option<&mut Store<Sectors>>) -> bool {
         let mut settings = [0; STORED_LENGTH];
-        engine.take_save(&mut settings) && store.is_some_and(|store| store.save(&settings).is_ok())
+        engine.encode_settings(&mut settings);
+        store.is_some_and(|store| store.save(&settings).is_ok())
     }
 
     #[inline(never)]
-    fn change_ports(engine: &mut Engine, lines: &[Line], can_hz: &mut Option<u32>) {
-        for line in lines {
-            if let Some(config) = engine.take_port_change(line.port) {
-                // the interrupt writes the same registers
-                cortex_m::interrupt::free(|_| uart::configure(line.usart, line.bus_hz, &config));
-            }
-        }
-        if let (Some(config), Some(bus_hz)) = (engine.take_port_change(Port::Can), *can_hz)
+    fn configure(engine: &mut Engine, lines: &[Line], can_hz: &mut Option<u32>, port: Port) {
+        let Some(config) = engine.port(port) else { return };
+        if let Some(line) = lines.iter().find(|line| line.port == port) {
+            // the interrupt writes the same registers
+            cortex_m::interrupt::free(|_| uart::configure(line.usart, line.bus_hz, config));
+        } else if let Some(bus_hz) = *can_hz
             && bxcan::start(can(), bus_hz, config.rate, config.node).is_err()
         {
             *can_hz = None;
+            engine.set_health(Health { no_can: true, ..engine.health() });
+        }
+    }
+
+    fn restart_can(engine: &mut Engine, can_hz: &Option<u32>) {
+        if can_hz.is_some() && bxcan::restart(can()).is_err() {
             engine.set_health(Health { no_can: true, ..engine.health() });
         }
     }
@@ -330,48 +347,46 @@ mod app {
     fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, Received>, now: Instant) {
         report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
-            engine.transmit_error();
+            engine.transmit_error(CAN);
         }
         for _ in 0..CAN_REPORTS.receive_errors.swap(0, Ordering::Relaxed) {
-            engine.receive_error(Port::Can);
+            engine.receive_error(CAN);
         }
         if CAN_REPORTS.overrun.swap(false, Ordering::Relaxed) {
-            engine.overrun(Port::Can);
+            engine.overrun(CAN);
         }
         for _ in 0..CAN_INCOMING {
             let Some(received) = frames.dequeue() else { break };
             // once more: a reply counts only after the request that it answers, and both may have come just now
             report_sent(engine, now);
             match received.frame() {
-                Some(frame) => engine.receive_frame(&frame, extend_timestamp(now, received.micros)),
-                None => engine.receive_error(Port::Can),
+                Some(frame) => engine.receive_frame(CAN, &frame, extend_timestamp(now, received.micros)),
+                None => engine.receive_error(CAN),
             }
         }
     }
 
     /// Tells the engine which frames have been acknowledged.
     fn report_sent(engine: &mut Engine, now: Instant) {
+        let at = extend_timestamp(now, CAN_REPORTS.sent_micros.load(Ordering::Relaxed));
         for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
-            engine.frame_sent(now);
+            engine.frame_sent(CAN, at);
         }
     }
 
     #[inline(never)]
-    fn carry_can_out(engine: &mut Engine, now: Instant) {
+    fn carry_can_out(engine: &mut Engine, todo: &mut Todo, now: Instant) {
         let can = can();
-        engine.set_bus_off(bxcan::is_bus_off(can), now);
-        if engine.take_can_restart(now) && bxcan::restart(can).is_err() {
-            engine.set_health(Health { no_can: true, ..engine.health() });
-        }
-        if engine.wants_abort() {
+        if todo.abort {
             bxcan::abort(can);
             if bxcan::is_empty(can) && CAN_REPORTS.sent.load(Ordering::Relaxed) == 0 {
-                engine.frames_aborted(now);
+                todo.abort = false;
+                engine.frames_aborted(CAN, now);
             }
             return;
         }
         while bxcan::has_room(can) {
-            let Some(frame) = engine.next_frame() else { break };
+            let Some(frame) = engine.next_frame(CAN) else { break };
             bxcan::transmit(can, &frame);
         }
     }
@@ -407,6 +422,7 @@ mod app {
 
     #[task(binds = CAN1_TX, priority = 3)]
     fn can_sent(_: can_sent::Context) {
+        CAN_REPORTS.sent_micros.store(time::micros(), Ordering::Relaxed);
         CAN_REPORTS.sent.fetch_add(bxcan::completed(can()).sent, Ordering::Relaxed);
     }
 

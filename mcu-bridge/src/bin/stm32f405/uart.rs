@@ -3,7 +3,7 @@
 use crate::pins::OutputPin;
 use crate::time;
 use core::ops::Deref;
-use jointbus_mcu_bridge::engine::config::{Parity, PortConfig};
+use jointbus_mcu_bridge::board::{Parity, PortConfig};
 use jointbus_mcu_bridge::io::serial::{IsrHalf, TransmitterSide};
 use stm32f4xx_hal::pac::usart1::RegisterBlock;
 
@@ -145,7 +145,7 @@ fn send(usart: Registers, mut queues: TransmitterSide<'_>, driver_enable: Driver
         driving = false;
         // what was put down for sending may have been sent before that was told
         if queues.set_driving(false) {
-            queues.transmitted();
+            queues.transmitted(time::micros());
         } else {
             queues.stop();
         }

@@ -1,10 +1,14 @@
 //! The CAN bus: NST transfers, one transaction in flight, split where a transfer is too short for it.
 
+use super::actions::Action;
+use super::context::Context;
 use super::counters::count;
-use super::queue::{BusQueue, Content, QueueFull};
-use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
-use heapless::Vec;
-use jointbus_protocol::can::Frame;
+use super::queue::{BusQueue, QueueFull};
+use super::request::{Expected, Request};
+use super::slab::Content;
+use super::transaction::{Slot, Transaction};
+use heapless::{Deque, Vec};
+use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::{self, Outcome, PushResult, Reassembler, ReassemblyError};
 use jointbus_protocol::nst::{self, serial::ExpectedResponse};
 use jointbus_protocol::time::{Duration, Instant};
@@ -15,6 +19,9 @@ const FRAME_PAUSE: Duration = Duration::from_millis(10);
 
 /// Sources whose transfers are joined at once: the device that was asked, and one that is late.
 const CONTEXTS: usize = 2;
+
+/// Frames of a whole response to a transfer.
+const EARLY: usize = can::TRANSFER_MAX.div_ceil(8);
 
 /// Time that the controller stays off the bus the first time, and at most; each time in a row takes twice as long.
 const SHORTEST: Duration = Duration::from_millis(10);
@@ -73,13 +80,16 @@ struct Part {
 #[derive(Debug)]
 pub(super) struct CanBus {
     queue: BusQueue,
-    flight: Lane<Flight>,
+    flight: Slot<Flight>,
     /// The transfer under way.
     body: Vec<u8, { can::TRANSFER_MAX }>,
     reassembler: Reassembler<CONTEXTS>,
     node: u8,
     /// Frames that the controller has and that nobody acknowledged so far.
     outstanding: u8,
+    /// Frames of the device in flight that came, as far as is known, before the last frame of its request was
+    /// acknowledged: their time decides whether they are from before that or a response.
+    early: Deque<(Frame, Instant), EARLY>,
     /// Read replies with function code 0x10, as the manual prints them (4.3.2.10).
     legacy_codes: u32,
     back_off: BackOff,
@@ -90,40 +100,31 @@ impl CanBus {
     pub(super) const fn new() -> Self {
         Self {
             queue: BusQueue::new(),
-            flight: Lane::Free,
+            flight: Slot::Free,
             body: Vec::new(),
             reassembler: Reassembler::new(0, Duration::ZERO),
             node: 0,
             outstanding: 0,
+            early: Deque::new(),
             legacy_codes: 0,
             back_off: BackOff { next: Duration::ZERO, restart: None, is_off: false },
         }
     }
 
-    #[inline(never)] // what it needs of the stack is not needed elsewhere
     pub(super) fn start(&mut self, node: u8) {
         self.node = node;
         self.reassembler = Reassembler::new(node, FRAME_PAUSE);
         self.back_off.next = SHORTEST;
     }
 
-    pub(super) const fn is_off(&self) -> bool {
-        self.back_off.is_off
-    }
-
     /// Whether the controller is off the bus now.
-    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, cx: &mut Context<'_>) {
         if is_off && !self.back_off.is_off {
             count(&mut cx.counters.bus_off);
             self.back_off.restart = Some(now.saturating_add(self.back_off.next));
             self.back_off.next = self.back_off.next.saturating_mul(2).min(LONGEST);
         }
         self.back_off.is_off = is_off;
-    }
-
-    /// Whether the controller is to be restarted now, once a time that it went off.
-    pub(super) fn take_restart(&mut self, now: Instant) -> bool {
-        self.back_off.restart.take_if(|restart| now >= *restart).is_some()
     }
 
     pub(super) const fn legacy_codes(&self) -> u32 {
@@ -136,7 +137,7 @@ impl CanBus {
         request: &Request,
         write: impl FnOnce(&mut Content),
         now: Instant,
-        cx: &mut Surroundings<'_>,
+        cx: &mut Context<'_>,
     ) -> Result<(), QueueFull> {
         let result = self.queue.push(request, write);
         self.take_next(now, cx);
@@ -145,7 +146,7 @@ impl CanBus {
 
     /// Whether a request would have to wait for a reply that its unit owes.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
-        self.queue.owed.holds(request, now)
+        self.queue.late.holds(request, now)
     }
 
     /// The next frame for the controller; it counts as handed over.
@@ -160,21 +161,17 @@ impl CanBus {
     }
 
     /// A frame was acknowledged.
-    pub(super) fn frame_sent(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn frame_sent(&mut self, now: Instant, cx: &mut Context<'_>) {
         count(&mut cx.counters.sent);
         self.back_off.next = SHORTEST;
         self.outstanding = self.outstanding.saturating_sub(1);
         self.check_sent(now, cx);
     }
 
-    /// Whether the frames that the controller still has are to be aborted.
-    pub(super) fn wants_abort(&self) -> bool {
-        self.outstanding > 0 && self.flight.as_ref().is_none_or(Flight::is_aborting)
-    }
-
     /// The controller has no frame any more.
-    pub(super) fn aborted(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn aborted(&mut self, now: Instant, cx: &mut Context<'_>) {
         self.outstanding = 0;
+        self.take_early(Instant::MAX, now, cx);
         if self.flight.as_ref().is_some_and(Flight::is_aborting) {
             self.not_sent(cx);
         }
@@ -182,8 +179,31 @@ impl CanBus {
     }
 
     /// Takes a frame that ended at `now`.
-    pub(super) fn receive(&mut self, frame: &Frame, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn receive(&mut self, frame: &Frame, now: Instant, cx: &mut Context<'_>) {
         count(&mut cx.counters.received);
+        if let Some(flight) = self.flight.as_ref()
+            && source(frame) == Some(flight.part.expected.address())
+        {
+            match flight.phase {
+                Phase::Sending { handed, .. }
+                    if handed >= self.body.len().div_ceil(8)
+                        && self.early.push_back((*frame, now)).is_ok() =>
+                {
+                    return;
+                }
+                // from before the end of the request, and handed over after it
+                Phase::Waiting { sent, .. } if now < sent => {
+                    count(&mut cx.counters.foreign_or_late);
+                    return;
+                }
+                _ => {}
+            }
+        }
+        self.reassemble(frame, now, cx);
+    }
+
+    /// Joins a frame to its transfer.
+    fn reassemble(&mut self, frame: &Frame, now: Instant, cx: &mut Context<'_>) {
         let PushResult { outcome, error } = self.reassembler.push(frame, now);
         match error {
             None => {}
@@ -204,7 +224,7 @@ impl CanBus {
             let Phase::Waiting { sent, .. } = flight.phase else { return None };
             fits.then_some((flight, expected, quirk, sent))
         }) else {
-            let late = self.queue.owed.iter().position(|owed| match owed {
+            let late = self.queue.late.iter().position(|owed| match owed {
                 Expected::Nst(owed) => {
                     source == owed.address() && (owed.accepts_body(body) || owed.accepts_legacy_code(body))
                 }
@@ -225,11 +245,11 @@ impl CanBus {
         }
         flight.moved = flight.moved.saturating_add(flight.part.length);
         let transaction = &mut flight.transaction;
-        if transaction.unanswered > 0 || !self.queue.owed.is_empty() {
+        if transaction.unanswered > 0 || !self.queue.late.is_empty() {
             self.queue.take(source, body, now);
         }
         let late = core::mem::take(&mut transaction.unanswered);
-        self.queue.owed.add(&transaction.request, Expected::Nst(expected), late, sent);
+        self.queue.late.add(&transaction.request, Expected::Nst(expected), late, sent);
         let content = self.queue.content(transaction.index);
         match following_part(content, &transaction.request, flight.moved, &mut self.body) {
             Some(part) => {
@@ -258,15 +278,19 @@ impl CanBus {
     }
 
     /// Does what is due.
-    #[inline(never)] // what it needs of the stack is not needed elsewhere
-    pub(super) fn poll(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
-        self.queue.owed.expire(now);
+    pub(super) fn poll(&mut self, now: Instant, cx: &mut Context<'_>) {
+        self.queue.late.expire(now);
+        if self.back_off.restart.take_if(|restart| now >= *restart).is_some() {
+            cx.actions.push(Action::RestartCan(cx.port));
+        }
         if let Some(flight) = self.flight.as_mut() {
             match flight.phase {
                 Phase::Sending { handed, limit } if now >= limit => {
                     flight.phase = Phase::Aborting { handed };
                     if self.outstanding == 0 {
                         self.not_sent(cx);
+                    } else {
+                        cx.actions.push(Action::AbortCan(cx.port));
                     }
                 }
                 Phase::Waiting { deadline, .. } if now >= deadline => self.time_out(now, cx),
@@ -290,35 +314,40 @@ impl CanBus {
     }
 
     /// Drops everything that waits or is in flight; frames that the controller has are aborted.
-    pub(super) fn reset(&mut self, node: u8, cx: &mut Surroundings<'_>) {
+    pub(super) fn reset(&mut self, cx: &mut Context<'_>) {
+        if self.outstanding > 0 {
+            cx.actions.push(Action::AbortCan(cx.port));
+        }
         if let Some(flight) = self.flight.take() {
             cx.fail(&flight.transaction.request);
             flight.transaction.end(None, &mut self.queue, cx);
         }
         self.queue.clear(cx);
-        self.node = node;
-        self.reassembler.set_node(node);
+        self.early.clear();
+        self.node = cx.config.node;
+        self.reassembler.set_node(self.node);
     }
 
-    fn take_next(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn take_next(&mut self, now: Instant, cx: &mut Context<'_>) {
         if self.flight.is_none()
-            && let Some(transaction) = self.queue.next(now, cx)
+            && let Some((request, index)) = self.queue.next(now, cx)
         {
+            let transaction = Transaction::new(request, index);
             let content = self.queue.content(transaction.index);
             match part(content, &transaction.request, 0, &mut self.body) {
                 Some(part) => {
-                    self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, moved: 0, part });
+                    self.flight = Slot::Taken(Flight { transaction, phase: Phase::Ready, moved: 0, part });
                 }
-                // what was judged at the door always has a first part
+                // what was decoded always has a first part
                 None => transaction.end(None, &mut self.queue, cx),
             }
         }
         let Some(flight) = self.flight.as_mut() else { return };
-        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.queue.owed.is_full() {
+        if flight.phase == Phase::Ready && self.outstanding == 0 && !self.queue.late.is_full() {
             // of a split transfer the first part has to be sent within the time to live
             let limit = match flight.moved {
                 0 => flight.transaction.request.expires,
-                _ => now.saturating_add(flight.transaction.request.timeout.into()),
+                _ => now.saturating_add(flight.transaction.request.timeout),
             };
             flight.phase = Phase::Sending { handed: 0, limit };
             if flight.transaction.unanswered > 0 {
@@ -327,7 +356,7 @@ impl CanBus {
         }
     }
 
-    fn check_sent(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn check_sent(&mut self, now: Instant, cx: &mut Context<'_>) {
         let Some(flight) = self.flight.as_mut() else { return };
         let (Phase::Sending { handed, .. } | Phase::Aborting { handed }) = flight.phase else { return };
         if self.outstanding > 0 {
@@ -354,16 +383,28 @@ impl CanBus {
             self.take_next(now, cx);
             return;
         }
+        self.take_early(now, now, cx);
+        let Some(flight) = self.flight.as_mut() else { return };
         // what its device had begun before is a second copy of a former reply
         self.reassembler.forget(flight.part.expected.address());
-        let on_wire = cx.port.can_frames(flight.part.expected.body_length().div_ceil(8));
-        let deadline = now.saturating_add(flight.transaction.request.timeout.into()).saturating_add(on_wire);
+        let on_wire = cx.config.can_frames(flight.part.expected.body_length().div_ceil(8));
+        let deadline = now.saturating_add(flight.transaction.request.timeout).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
+        self.take_early(Instant::MAX, Instant::MAX, cx);
+    }
+
+    /// Takes the frames that were handed over early and ended by `end`: a response ends later than its request.
+    fn take_early(&mut self, end: Instant, now: Instant, cx: &mut Context<'_>) {
+        while self.early.front().is_some_and(|(_, at)| *at <= end)
+            && let Some((frame, at)) = self.early.pop_front()
+        {
+            self.reassemble(&frame, at.min(now), cx);
+        }
     }
 
     /// The transfer was not sent in time; of the first part nothing has been carried out.
-    fn not_sent(&mut self, cx: &mut Surroundings<'_>) {
+    fn not_sent(&mut self, cx: &mut Context<'_>) {
         let Some(flight) = self.flight.as_ref() else { return };
         match (flight.moved, flight.transaction.unanswered, flight.phase) {
             (0, 0, _) => count(&mut cx.counters.expired),
@@ -375,7 +416,7 @@ impl CanBus {
         self.finish(cx);
     }
 
-    fn time_out(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn time_out(&mut self, now: Instant, cx: &mut Context<'_>) {
         let Some(flight) = self.flight.as_mut() else { return };
         if flight.transaction.time_out(now, cx) {
             flight.phase = Phase::Ready;
@@ -384,11 +425,19 @@ impl CanBus {
         }
     }
 
-    fn finish(&mut self, cx: &mut Surroundings<'_>) {
+    fn finish(&mut self, cx: &mut Context<'_>) {
         if let Some(flight) = self.flight.take() {
             let expected = Some(Expected::Nst(flight.part.expected));
             flight.transaction.end(expected, &mut self.queue, cx);
         }
+    }
+}
+
+/// The node that sent a frame of NST.
+fn source(frame: &Frame) -> Option<u8> {
+    match frame.id() {
+        Id::Extended(raw) => can::Identifier::from_raw(raw).map(|identifier| identifier.source),
+        Id::Standard(_) => None,
     }
 }
 

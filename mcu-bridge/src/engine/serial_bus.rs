@@ -1,11 +1,16 @@
 //! A bus on a serial port: one transaction in flight, half duplex.
 
-use super::config::PortConfig;
+use super::context::Context;
 use super::counters::count;
+use super::framing::{Outgoing, wire_byte, wire_length};
 use super::host::FRAME_MAX;
-use super::queue::{BusQueue, Content, QueueFull};
-use super::response::{Heard, Outgoing, Receiver, Wanted, wire_byte, wire_length};
-use super::transaction::{Expected, Lane, Request, Surroundings, Transaction};
+use super::queue::{BusQueue, QueueFull};
+use super::request::{Expected, Request};
+use super::response_matcher::{Received, Receiver, Wanted};
+use super::slab::Content;
+use super::transaction::{Slot, Transaction};
+use crate::board::PortConfig;
+use heapless::{Deque, Vec};
 use jointbus_protocol::time::{Duration, Instant};
 
 /// A port that has not told the end of a transmission so long after the time on the wire is broken.
@@ -51,12 +56,56 @@ impl Echo {
     }
 }
 
+/// Bytes that the port handed over before it told the end of what it was sending: their time decides whether they are
+/// from before that or a response.
+#[derive(Debug)]
+struct Early {
+    bytes: Deque<u8, FRAME_MAX>,
+    /// When the last of them ended.
+    end: Instant,
+}
+
+impl Early {
+    const fn new() -> Self {
+        Self { bytes: Deque::new(), end: Instant::from_micros(0) }
+    }
+
+    /// Keeps bytes, the last of which ended at `now`; tells whether there was room for all.
+    fn push(&mut self, bytes: &[u8], now: Instant) -> bool {
+        self.end = now;
+        bytes.iter().all(|byte| self.bytes.push_back(*byte).is_ok())
+    }
+
+    /// Drops what cannot have come after `sent`: more bytes than the time since then has room for.
+    fn keep_after(&mut self, sent: Instant, config: &PortConfig) {
+        let since = self.end.saturating_duration_since(sent);
+        let fits = (0..self.bytes.len()).take_while(|count| config.characters(*count) < since).count();
+        let mut before = self.bytes.len().saturating_sub(fits);
+        while before > 0 {
+            self.bytes.pop_front();
+            before = before.saturating_sub(1);
+        }
+    }
+
+    /// Takes some of the bytes, the first ones; empty when none is left.
+    fn take_some(&mut self) -> Vec<u8, 32> {
+        let mut some = Vec::new();
+        while !some.is_full()
+            && let Some(byte) = self.bytes.pop_front()
+        {
+            let _ = some.push(byte);
+        }
+        some
+    }
+}
+
 /// A serial bus.
 #[derive(Debug)]
 pub(super) struct SerialBus {
     queue: BusQueue,
-    flight: Lane<Flight>,
+    flight: Slot<Flight>,
     receiver: Receiver,
+    early: Early,
     /// Whether requests go out as Modbus ASCII.
     is_ascii: bool,
     /// When the line was last heard or used.
@@ -68,8 +117,9 @@ impl SerialBus {
     pub(super) const fn new() -> Self {
         Self {
             queue: BusQueue::new(),
-            flight: Lane::Free,
+            flight: Slot::Free,
             receiver: Receiver::new(),
+            early: Early::new(),
             is_ascii: false,
             busy: Instant::from_micros(0),
         }
@@ -85,7 +135,7 @@ impl SerialBus {
         request: &Request,
         write: impl FnOnce(&mut Content),
         now: Instant,
-        cx: &mut Surroundings<'_>,
+        cx: &mut Context<'_>,
     ) -> Result<(), QueueFull> {
         let result = self.queue.push(request, write);
         self.take_next(now, cx);
@@ -94,7 +144,7 @@ impl SerialBus {
 
     /// Whether a request would have to wait for a reply that its unit owes.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
-        self.queue.owed.holds(request, now)
+        self.queue.late.holds(request, now)
     }
 
     /// What the port is to send.
@@ -116,15 +166,15 @@ impl SerialBus {
     }
 
     /// The last stop bit has left and the driver is off.
-    #[inline(never)] // what it needs of the stack is not needed elsewhere
-    pub(super) fn transmitted(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn transmitted(&mut self, now: Instant, cx: &mut Context<'_>) {
         if !self.pending().is_empty() {
             return;
         }
         let Some(flight) = self.flight.as_mut() else { return };
         let Phase::Sending { .. } = flight.phase else { return };
-        self.busy = now;
+        self.busy = self.busy.max(now);
         count(&mut cx.counters.sent);
+        self.early.keep_after(now, cx.config);
         let request = &flight.transaction.request;
         let Some(expected) = &request.expected else {
             self.finish(cx);
@@ -133,25 +183,44 @@ impl SerialBus {
         };
         let [longest, other] = expected.lengths();
         let length = if expected.is_open() { FRAME_MAX } else { longest.max(other) };
-        let on_wire = cx.port.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
-        let deadline = now.saturating_add(request.timeout.into()).saturating_add(on_wire);
+        let on_wire = cx.config.characters(if self.is_ascii { length.saturating_mul(2) } else { length });
+        let deadline = now.saturating_add(request.timeout).saturating_add(on_wire);
         flight.phase = Phase::Waiting { sent: now, deadline };
         flight.transaction.sent = Some(now);
         self.discard(cx);
+        loop {
+            let response = self.early.take_some();
+            if response.is_empty() {
+                break;
+            }
+            self.receive(&response, self.early.end, cx);
+        }
     }
 
     /// Takes bytes from the line, the last of which ended at `now`.
-    pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, cx: &mut Surroundings<'_>) {
-        self.busy = now;
+    pub(super) fn receive(&mut self, mut bytes: &[u8], now: Instant, cx: &mut Context<'_>) {
+        self.busy = self.busy.max(now);
         if let Some(flight) = self.flight.as_mut()
-            && cx.port.echo
+            && cx.config.echo
             && !matches!(flight.phase, Phase::Ready)
         {
             let content = self.queue.content(flight.transaction.index);
             flight.echo.take(|index| wire_byte(self.is_ascii, content, index), &mut bytes);
         }
-        if matches!(self.flight.as_ref(), Some(Flight { phase: Phase::Sending { .. }, .. })) {
-            return;
+        match self.flight.as_ref().map(|flight| &flight.phase) {
+            Some(Phase::Sending { .. }) => {
+                // while bytes are still to be handed to the port, none can be a response
+                if !bytes.is_empty() && self.pending().is_empty() && !self.early.push(bytes, now) {
+                    count(&mut cx.counters.overruns);
+                }
+                return;
+            }
+            // from before the end of the request, and handed over after it
+            Some(Phase::Waiting { sent, .. }) if now < *sent => {
+                count(&mut cx.counters.foreign_or_late);
+                return;
+            }
+            _ => {}
         }
         loop {
             let waiting = self.flight.as_ref().and_then(|flight| match flight.phase {
@@ -159,30 +228,30 @@ impl SerialBus {
                 Phase::Ready | Phase::Sending { .. } => None,
             });
             let in_flight = waiting.and_then(|(request, _)| request.expected.as_ref());
-            let wanted = Wanted { in_flight, owed: &self.queue.owed };
+            let wanted = Wanted { in_flight, late: &self.queue.late };
             let Some(heard) = self.receiver.feed(wanted, &mut bytes) else { break };
-            if !matches!(heard, Heard::Broken) {
+            if !matches!(heard, Received::Broken) {
                 count(&mut cx.counters.received);
             }
             match (heard, waiting) {
-                (Heard::Reply(content), Some((request, sent))) => {
+                (Received::Reply(content), Some((request, sent))) => {
                     cx.answer(request, content, sent, now);
                     let remote = in_flight.map_or(0, Expected::remote);
                     if self.flight.as_ref().is_some_and(|flight| flight.transaction.unanswered > 0)
-                        || !self.queue.owed.is_empty()
+                        || !self.queue.late.is_empty()
                     {
                         self.queue.take(remote, content, now);
                     }
                     self.finish(cx);
                 }
-                (Heard::LateResponse(index, content), _) => {
+                (Received::LateResponse(index, content), _) => {
                     count(&mut cx.counters.foreign_or_late);
                     // a copy follows at once
                     let mut length = content.len().saturating_add(4);
                     if self.is_ascii {
                         length = length.saturating_mul(2);
                     }
-                    let copy = cx.port.characters(length).saturating_add(cx.port.pause());
+                    let copy = cx.config.characters(length).saturating_add(cx.config.pause());
                     self.queue.settle(index, content, copy, now, cx);
                 }
                 _ => count(&mut cx.counters.foreign_or_late),
@@ -192,10 +261,9 @@ impl SerialBus {
     }
 
     /// Does what is due.
-    #[inline(never)] // twice there, and what it needs of the stack is not needed elsewhere
-    pub(super) fn poll(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn poll(&mut self, now: Instant, cx: &mut Context<'_>) {
         // the reply in flight may be half received: it has another place among the kinds now
-        if self.queue.owed.expire(now) {
+        if self.queue.late.expire(now) {
             self.receiver.rescan();
         }
         self.end_open_reply(now, cx);
@@ -226,30 +294,31 @@ impl SerialBus {
     }
 
     /// Drops everything that waits or is in flight, and speaks as the routes say now.
-    pub(super) fn reset(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    pub(super) fn reset(&mut self, now: Instant, cx: &mut Context<'_>) {
         if let Some(flight) = self.flight.take() {
             cx.fail(&flight.transaction.request);
             flight.transaction.end(None, &mut self.queue, cx);
         }
         self.queue.clear(cx);
-        self.is_ascii = cx.routes.network.speaks_ascii(cx.bus);
+        self.is_ascii = cx.routes.topology.speaks_ascii(cx.port);
         self.receiver.reset(self.is_ascii);
         self.busy = now;
     }
 
     /// Puts the next request in flight, and onto the line once that was silent for the gap.
-    fn take_next(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn take_next(&mut self, now: Instant, cx: &mut Context<'_>) {
         if self.flight.is_none()
-            && let Some(transaction) = self.queue.next(now, cx)
+            && let Some((request, index)) = self.queue.next(now, cx)
         {
-            self.flight = Lane::Taken(Flight { transaction, phase: Phase::Ready, echo: Echo::default() });
+            let transaction = Transaction::new(request, index);
+            self.flight = Slot::Taken(Flight { transaction, phase: Phase::Ready, echo: Echo::default() });
         }
         if let Some(flight) = self.flight.as_mut()
             && matches!(flight.phase, Phase::Ready)
-            && now >= self.busy.saturating_add(cx.port.gap())
+            && now >= self.busy.saturating_add(cx.config.gap())
         {
             let content = self.queue.content(flight.transaction.index);
-            let on_wire = cx.port.characters(wire_length(self.is_ascii, content));
+            let on_wire = cx.config.characters(wire_length(self.is_ascii, content));
             let limit = now.saturating_add(on_wire).saturating_add(TRANSMIT_LIMIT);
             flight.phase = Phase::Sending { outgoing: Outgoing::start(self.is_ascii, content), limit };
             if flight.transaction.unanswered > 0 {
@@ -260,7 +329,7 @@ impl SerialBus {
     }
 
     /// Drops a request that the line had no silence for in time.
-    fn expire_ready(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn expire_ready(&mut self, now: Instant, cx: &mut Context<'_>) {
         let Some(Flight { transaction, phase: Phase::Ready, .. }) = self.flight.as_ref() else { return };
         if now >= transaction.request.expires {
             if transaction.unanswered == 0 {
@@ -271,7 +340,7 @@ impl SerialBus {
         }
     }
 
-    fn time_out(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
+    fn time_out(&mut self, now: Instant, cx: &mut Context<'_>) {
         self.discard(cx);
         self.count_collision(cx);
         let Some(flight) = self.flight.as_mut() else { return };
@@ -283,15 +352,15 @@ impl SerialBus {
     }
 
     /// Counts an attempt whose echo was not what was sent. One that was answered in spite of it did no harm.
-    fn count_collision(&self, cx: &mut Surroundings<'_>) {
+    fn count_collision(&self, cx: &mut Context<'_>) {
         let Some(Flight { transaction, echo, .. }) = self.flight.as_ref() else { return };
         let length = wire_length(self.is_ascii, self.queue.content(transaction.index));
-        if cx.port.echo && (echo.collided || echo.heard < length) {
+        if cx.config.echo && (echo.collided || echo.heard < length) {
             count(&mut cx.counters.transmit_errors);
         }
     }
 
-    fn finish(&mut self, cx: &mut Surroundings<'_>) {
+    fn finish(&mut self, cx: &mut Context<'_>) {
         if matches!(self.flight.as_ref(), Some(flight) if flight.transaction.request.expected.is_none()) {
             self.count_collision(cx);
         }
@@ -310,8 +379,8 @@ impl SerialBus {
     }
 
     /// Silence ends a reply of unknown length.
-    fn end_open_reply(&mut self, now: Instant, cx: &mut Surroundings<'_>) {
-        if !self.is_open_reply() || now < self.busy.saturating_add(cx.port.pause()) {
+    fn end_open_reply(&mut self, now: Instant, cx: &mut Context<'_>) {
+        if !self.is_open_reply() || now < self.busy.saturating_add(cx.config.pause()) {
             return;
         }
         let Some(Flight { transaction, phase: Phase::Waiting { sent, .. }, .. }) = self.flight.as_ref()
@@ -331,8 +400,7 @@ impl SerialBus {
     }
 
     /// Forgets received bytes that belong to nothing.
-    #[inline(never)] // in many places
-    fn discard(&mut self, cx: &mut Surroundings<'_>) {
+    fn discard(&mut self, cx: &mut Context<'_>) {
         if self.receiver.discard() {
             count(&mut cx.counters.foreign_or_late);
         }

@@ -1,10 +1,8 @@
-//! How a serial bus spells a request on the wire, and how it finds the reply in what it hears.
+//! How a serial bus finds responses in what it hears.
 
-use super::config::{Protocol, Route, Target};
 use super::host::FRAME_MAX;
-use super::queue::{Content, LATE_RESPONSES, LateResponses};
-use super::transaction::Expected;
-use heapless::Vec;
+use super::pending_late::{LATE_MAX, PendingLate};
+use super::request::Expected;
 use jointbus_protocol::checksum;
 use jointbus_protocol::decode::{Match, ResponseMatcher};
 use jointbus_protocol::modbus::ascii;
@@ -13,18 +11,18 @@ use jointbus_protocol::modbus::ascii;
 const WINDOW: usize = FRAME_MAX + 16;
 
 /// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
-const KINDS: usize = 2 * (LATE_RESPONSES + 1);
+const KINDS: usize = 2 * (LATE_MAX + 1);
 
 /// What a bus waits for.
 #[derive(Clone, Copy)]
 pub(super) struct Wanted<'a> {
     pub(super) in_flight: Option<&'a Expected>,
-    pub(super) owed: &'a LateResponses,
+    pub(super) late: &'a PendingLate,
 }
 
 impl Wanted<'_> {
     fn all(&self) -> impl Iterator<Item = Option<&Expected>> {
-        core::iter::once(self.in_flight).chain(self.owed.iter().map(Some))
+        core::iter::once(self.in_flight).chain(self.late.iter().map(Some))
     }
 }
 
@@ -42,7 +40,7 @@ impl Match<KINDS> for Wanted<'_> {
 }
 
 /// A frame that a bus heard.
-pub(super) enum Heard<'a> {
+pub(super) enum Received<'a> {
     /// The reply in flight, without address and checksum.
     Reply(&'a [u8]),
     /// One that is owed, likewise.
@@ -78,27 +76,27 @@ impl Receiver {
     }
 
     /// Takes bytes until a frame comes out or none are left.
-    pub(super) fn feed(&mut self, wanted: Wanted<'_>, bytes: &mut &[u8]) -> Option<Heard<'_>> {
+    pub(super) fn feed(&mut self, wanted: Wanted<'_>, bytes: &mut &[u8]) -> Option<Received<'_>> {
         match self {
             Self::Sliding(search) => {
                 let (kind, frame) = search.feed(&wanted, bytes)?;
                 Some(match (kind / 2).checked_sub(1) {
-                    Some(index) => Heard::LateResponse(index, content(frame)),
-                    None => Heard::Reply(content(frame)),
+                    Some(index) => Received::LateResponse(index, content(frame)),
+                    None => Received::Reply(content(frame)),
                 })
             }
             Self::Ascii(decoder) => Some(match decoder.feed(bytes)? {
                 ascii::Event::Frame(ascii::Frame { unit, pdu }) => {
                     let fits = |expected: &Expected| expected.accepts_pdu(unit, pdu);
                     match wanted.in_flight.is_some_and(fits) {
-                        true => Heard::Reply(pdu),
-                        false => match wanted.owed.iter().position(fits) {
-                            Some(index) => Heard::LateResponse(index, pdu),
-                            None => Heard::Foreign,
+                        true => Received::Reply(pdu),
+                        false => match wanted.late.iter().position(fits) {
+                            Some(index) => Received::LateResponse(index, pdu),
+                            None => Received::Foreign,
                         },
                     }
                 }
-                ascii::Event::Dropped(_) => Heard::Broken,
+                ascii::Event::Dropped(_) => Received::Broken,
             }),
         }
     }
@@ -149,90 +147,3 @@ fn content(frame: &[u8]) -> &[u8] {
 }
 
 const _: () = assert!(checksum::CRC_LENGTH == 2);
-
-/// What of a frame a bus is handed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Framing {
-    /// Address, body and CRC.
-    Sealed,
-    /// Address and body: Modbus ASCII has a checksum of its own.
-    Addressed,
-    /// The body alone: on CAN the identifier names the node.
-    Body,
-}
-
-impl Framing {
-    /// What the bus of a route is handed.
-    pub(super) const fn of(route: &Route) -> Self {
-        match (route.bus, route.protocol) {
-            (Target::Can, _) => Self::Body,
-            (_, Protocol::ModbusAscii) => Self::Addressed,
-            _ => Self::Sealed,
-        }
-    }
-
-    /// Writes a request to `address`; all that came in one frame has room.
-    pub(super) fn write(self, address: u8, body: &[u8], content: &mut Content) {
-        if self != Self::Body {
-            let _ = content.push(address);
-        }
-        let _ = content.extend_from_slice(body);
-        if self == Self::Sealed {
-            let crc = checksum::crc16(content);
-            let _ = content.extend_from_slice(&crc.to_le_bytes());
-        }
-    }
-}
-
-/// Characters of a Modbus ASCII frame that are spelt out at once.
-const CHUNK: usize = 32;
-
-/// A request on its way onto the line.
-#[derive(Debug, Default)]
-pub(super) struct Outgoing {
-    /// Bytes that the port has taken.
-    handed: usize,
-    /// Modbus ASCII: the characters that start at `chunk_start`.
-    chunk: Option<Vec<u8, CHUNK>>,
-    chunk_start: usize,
-}
-
-impl Outgoing {
-    /// Starts with a request.
-    pub(super) fn start(is_ascii: bool, content: &[u8]) -> Self {
-        let mut outgoing = Self { handed: 0, chunk: is_ascii.then(Vec::new), chunk_start: 0 };
-        outgoing.consume(content, 0);
-        outgoing
-    }
-
-    /// What the port is to send.
-    pub(super) fn pending<'s>(&'s self, content: &'s [u8]) -> &'s [u8] {
-        match &self.chunk {
-            None => content.get(self.handed..),
-            Some(chunk) => chunk.get(self.handed.saturating_sub(self.chunk_start)..),
-        }
-        .unwrap_or(&[])
-    }
-
-    /// The port took so many of the pending bytes.
-    pub(super) fn consume(&mut self, content: &[u8], taken: usize) {
-        self.handed = self.handed.saturating_add(taken.min(self.pending(content).len()));
-        if self.pending(content).is_empty()
-            && let Some(chunk) = &mut self.chunk
-        {
-            self.chunk_start = self.handed;
-            chunk.clear();
-            chunk.extend((self.handed..).map_while(|index| ascii::character_at(content, index)).take(CHUNK));
-        }
-    }
-}
-
-/// Bytes of a request on the wire.
-pub(super) fn wire_length(is_ascii: bool, content: &[u8]) -> usize {
-    if is_ascii { ascii::frame_length(content.len()) } else { content.len() }
-}
-
-/// One byte of a request on the wire.
-pub(super) fn wire_byte(is_ascii: bool, content: &[u8], index: usize) -> Option<u8> {
-    if is_ascii { ascii::character_at(content, index) } else { content.get(index).copied() }
-}
