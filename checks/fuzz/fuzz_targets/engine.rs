@@ -147,7 +147,7 @@ fn step(board: &mut Board, script: &mut Script<'_>, now: &mut Instant) {
 
 /// What holds after every step.
 fn check(engine: &Engine) {
-    assert!(engine.output(Port::HOST).len() <= 5 * 256);
+    assert!(engine.output(Port::HOST).len() <= 7 * 256);
     for port in [RS485_A, RS485_B] {
         assert!(engine.output(port).len() <= 256);
     }

@@ -2,7 +2,7 @@
 
 use super::counters::{Counters, count};
 use super::router::Routes;
-use crate::board::Protocol;
+use crate::board::{PORTS_MAX, Protocol};
 use heapless::Vec;
 use jointbus_protocol::decode::{FrameDecoder, FrameLength, Framing, STRAY_MAX};
 use jointbus_protocol::modbus::{self, ExceptionCode, FunctionCode, rtu};
@@ -44,8 +44,8 @@ impl Framing for HostFraming<'_> {
 /// Room for one reply of each bus, for one of the board's own units, and for exceptions.
 const OUTPUT: usize = USABLE + FRAME_MAX;
 
-/// What replies may take: the rest stays free for exceptions.
-const USABLE: usize = 4 * FRAME_MAX;
+/// What replies may take: the rest stays free for exceptions. A board has at most as many buses as other ports.
+const USABLE: usize = PORTS_MAX * FRAME_MAX;
 
 /// Replies on their way to the host.
 ///

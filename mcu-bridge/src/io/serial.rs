@@ -5,6 +5,56 @@
 //! short: their length is a power of two and known when it is compiled, and all they need are words that are loaded and
 //! stored whole: a Cortex-M0+ has no other atomic operations. What the interrupt counts it alone writes; the main loop
 //! remembers how far it has seen the count.
+//!
+//! # The interrupt's side
+//!
+//! An RS485 port whose driver is on from before the first bit until after the last stop bit:
+//!
+//! ```
+//! use jointbus_mcu_bridge::io::serial::{IsrHalf, RX_CAPACITY_RESPONSES, UartBuffers};
+//!
+//! /// The registers of a UART, and the pin of its driver.
+//! trait Uart {
+//!     fn received(&mut self) -> Option<u8>;
+//!     /// A character came with a wrong parity or stop bit.
+//!     fn had_error(&mut self) -> bool;
+//!     fn is_empty(&self) -> bool;
+//!     /// The last stop bit has left.
+//!     fn is_complete(&self) -> bool;
+//!     fn send(&mut self, byte: u8);
+//!     fn drive(&mut self, on: bool);
+//!     fn enable_interrupts(&mut self, empty: bool, complete: bool);
+//! }
+//!
+//! /// Also pended by the main loop when it has put something down for sending.
+//! fn on_interrupt(uart: &mut impl Uart, port: &mut IsrHalf<'_, RX_CAPACITY_RESPONSES>, micros: u32) {
+//!     if let Some(byte) = uart.received() {
+//!         let byte = if uart.had_error() { port.transmitter().framing_error(byte) } else { byte };
+//!         port.received(byte, micros);
+//!     }
+//!     if !port.is_sending() {
+//!         return;
+//!     }
+//!     let mut transmitter = port.transmitter();
+//!     while uart.is_empty() && let Some(byte) = transmitter.next_byte() {
+//!         if !transmitter.set_driving(true) {
+//!             uart.drive(true);
+//!         }
+//!         uart.send(byte);
+//!     }
+//!     let drained = transmitter.is_drained();
+//!     if drained && transmitter.is_driving() && uart.is_complete() {
+//!         uart.drive(false);
+//!         transmitter.set_driving(false);
+//!         transmitter.transmitted(micros);
+//!     }
+//!     uart.enable_interrupts(!drained, drained && transmitter.is_driving());
+//! }
+//!
+//! let mut buffers = UartBuffers::<RX_CAPACITY_RESPONSES>::new();
+//! // the interrupt owns one, the main loop the other
+//! let (_interrupt, _main) = buffers.split();
+//! ```
 
 use crate::board::Port;
 use crate::engine::AnyEngine;

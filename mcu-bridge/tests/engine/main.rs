@@ -6,6 +6,7 @@ mod can;
 mod configuration;
 mod devices;
 mod life;
+mod order;
 mod world;
 
 use jointbus_protocol::nst::SignEncoding;
