@@ -98,9 +98,9 @@ pub struct Counters {
     pub foreign: u32,
     /// Bytes or frames lost in the port.
     pub overruns: u32,
-    /// RequestFraming that outlived their time.
+    /// Requests that outlived their time.
     pub expired: u32,
-    /// RequestFraming that were refused.
+    /// Requests that were refused.
     pub refused: u32,
     /// Times that CAN was bus-off.
     pub bus_off: u32,

@@ -10,7 +10,7 @@ mod theirs;
 use std::error::Error;
 use std::process::ExitCode;
 
-use jointbus_protocol::decode::{FrameDecoder, Event, STRAY_MAX};
+use jointbus_protocol::decode::{Event, FrameDecoder, STRAY_MAX};
 use jointbus_protocol::modbus::BROADCAST;
 use jointbus_protocol::modbus::rtu::{FRAME_MAX, RequestFraming};
 use jointbus_protocol::modbus::server::{self, RamTables};
