@@ -81,7 +81,7 @@ impl Repeat {
     }
 }
 
-/// Which values can be written one by one; together they are judged by [`command::APPLY`].
+/// Which values can be written one by one; together they are checked by [`command::APPLY`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Range {
     /// Every value.

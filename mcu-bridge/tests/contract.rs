@@ -3,8 +3,10 @@
 use std::path::Path;
 
 /// File or folder of each prefix in the table, from the root of the workspace.
-const PLACES: [(&str, &str); 8] = [
+const PLACES: [(&str, &str); 10] = [
     ("engine", "mcu-bridge/tests/engine"),
+    ("boards", "mcu-bridge/tests/boards.rs"),
+    ("registers", "mcu-bridge/tests/registers"),
     ("store", "mcu-bridge/tests/store.rs"),
     ("image", "host-tests/tests/image"),
     ("clients", "host-tests/tests/real_clients.rs"),

@@ -11,7 +11,7 @@ pub const ROUTES: usize = 16;
 pub enum Target {
     /// The bus on a port.
     Bus(Port),
-    /// One of the board's own units, by its place in [`LocalUnits`].
+    /// One of the board's own units, by its place in [`LocalUnits`](super::LocalUnits).
     Local(u8),
     /// The bridge itself.
     Bridge,
@@ -93,7 +93,7 @@ pub struct Route {
     pub read_retries: u8,
     /// Time after which a request is no longer sent, in ms, 1 and up.
     pub time_to_live_ms: u16,
-    /// How long a reply is owed, in ms; 0 stands for three times the timeout.
+    /// How long a late response is waited for, in ms; 0 stands for three times the timeout.
     pub late_response_window_ms: u16,
     /// Whether writes and commands are refused.
     pub refuse_writes: bool,
@@ -160,7 +160,7 @@ impl Route {
         Duration::from_millis(millis as u64)
     }
 
-    /// How long a device that let a request time out owes the reply.
+    /// How long a late response is waited for after a timeout.
     #[must_use]
     pub const fn late_response_window(&self, is_read: bool) -> Duration {
         match self.late_response_window_ms {

@@ -77,6 +77,10 @@ impl Pending {
         }
     }
 
+    pub(super) const fn is_empty(&self) -> bool {
+        !self.any
+    }
+
     /// The next one: outputs first, what ends the work last.
     pub(super) fn pop(&mut self) -> Option<Action> {
         if !self.any {

@@ -300,6 +300,13 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         self.core.shared.idle_until = self.next_due();
     }
 
+    /// Tells whether [`poll`](Self::poll) has nothing to do at `now`: nothing was handed in or out since the last time,
+    /// nothing is due, and no action is left. It costs less than [`poll_at`](Self::poll_at).
+    #[must_use]
+    pub fn is_idle(&self, now: Instant) -> bool {
+        now < self.core.shared.idle_until && self.core.shared.actions.is_empty()
+    }
+
     /// When [`poll`](Self::poll) has something to do next, if nothing is handed in or out before.
     #[must_use]
     pub fn poll_at(&self) -> Option<Instant> {

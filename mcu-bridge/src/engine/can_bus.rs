@@ -144,7 +144,7 @@ impl CanBus {
         result
     }
 
-    /// Whether a request would have to wait for a reply that its unit owes.
+    /// Tells whether a request has to wait for a late response.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         self.queue.late.holds(request, now)
     }
@@ -224,9 +224,9 @@ impl CanBus {
             let Phase::Waiting { sent, .. } = flight.phase else { return None };
             fits.then_some((flight, expected, quirk, sent))
         }) else {
-            let late = self.queue.late.iter().position(|owed| match owed {
-                Expected::Nst(owed) => {
-                    source == owed.address() && (owed.accepts_body(body) || owed.accepts_legacy_code(body))
+            let late = self.queue.late.iter().position(|late| match late {
+                Expected::Nst(late) => {
+                    source == late.address() && (late.accepts_body(body) || late.accepts_legacy_code(body))
                 }
                 Expected::Modbus(_) => false,
             });

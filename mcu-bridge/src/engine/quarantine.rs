@@ -56,7 +56,7 @@ impl Quarantine {
         }
     }
 
-    /// Decides about a request; `waits` tells whether it could not be sent for a reply that its unit owes.
+    /// Decides about a request; `waits` tells whether it has to wait for a late response.
     pub(super) fn admit(&mut self, unit: u8, waits: bool, limits: &Limits, now: Instant) -> Admission {
         match self.0.iter_mut().find(|device| device.unit == unit && device.is_quarantined(limits)) {
             None => Admission::Normal,

@@ -121,13 +121,13 @@ impl BusQueue {
         expires.min(self.late.deadline())
     }
 
-    /// A reply answers a request of which others are owed, or will be.
+    /// Remembers a response while late ones to the same device are waited for, or will be.
     pub(super) fn take(&mut self, remote: u8, content: &[u8], now: Instant) {
         self.last = Some(Taken { remote, crc: checksum::crc16(content), at: now });
     }
 
-    /// An owed reply came. One to a probe may still show that its device is back. What is the same as the last one and
-    /// ends no later than `copy` after it may be its copy, which nobody owes: the hold-off goes on.
+    /// Takes a late response. One to a probe may still show that its device is back. What is the same as the last
+    /// response and ends no later than `copy` after it may be its copy, to no attempt: the wait goes on.
     pub(super) fn settle(
         &mut self,
         index: usize,
@@ -173,12 +173,12 @@ impl Queue {
     }
 
     /// Takes out the next request: writes before reads of other units, in order for each unit, also behind one that
-    /// is held because its unit owes a reply.
-    fn next(&mut self, owed: &PendingLate, now: Instant) -> Option<Waiting> {
+    /// is held because of a late response.
+    fn next(&mut self, late: &PendingLate, now: Instant) -> Option<Waiting> {
         let mut chosen = None;
         for (index, Waiting { request, .. }) in self.0.iter().enumerate() {
             let behind = self.0.iter().take(index).any(|earlier| earlier.request.unit == request.unit);
-            if behind || owed.holds(request, now) {
+            if behind || late.holds(request, now) {
                 continue;
             }
             if !request.is_read() {
@@ -212,9 +212,9 @@ mod tests {
         Request::new(unit, function.code(), Some(expected), (Some(number), route), start)
     }
 
-    fn order(queue: &mut Queue, owed: &PendingLate) -> std::vec::Vec<(u8, u8)> {
+    fn order(queue: &mut Queue, late: &PendingLate) -> std::vec::Vec<(u8, u8)> {
         let now = Instant::from_micros(0);
-        std::iter::from_fn(|| queue.next(owed, now))
+        std::iter::from_fn(|| queue.next(late, now))
             .map(|it| (it.request.unit, it.request.function))
             .collect()
     }
@@ -243,13 +243,13 @@ mod tests {
         for (unit, function) in [(1, READ), (1, ZERO), (2, READ)] {
             push(&mut queue, unit, function).unwrap();
         }
-        let mut owed = PendingLate::new();
-        let owing = Request { late_response_window: Duration::from_micros(10), ..request(1, READ) };
-        owed.add(&owing, owing.expected.unwrap(), 1, Instant::from_micros(0));
-        assert_eq!(order(&mut queue, &owed), [(2, 3)]);
-        assert!(!owed.expire(Instant::from_micros(9)));
-        assert!(owed.expire(Instant::from_micros(10)));
-        assert_eq!(order(&mut queue, &owed), [(1, 3), (1, 0x12)]);
+        let mut late = PendingLate::new();
+        let waiting = Request { late_response_window: Duration::from_micros(10), ..request(1, READ) };
+        late.add(&waiting, waiting.expected.unwrap(), 1, Instant::from_micros(0));
+        assert_eq!(order(&mut queue, &late), [(2, 3)]);
+        assert!(!late.expire(Instant::from_micros(9)));
+        assert!(late.expire(Instant::from_micros(10)));
+        assert_eq!(order(&mut queue, &late), [(1, 3), (1, 0x12)]);
     }
 
     #[test]
@@ -261,9 +261,9 @@ mod tests {
         assert_eq!((probe.timeout, probe.retries), (Duration::from_millis(50), 0));
         let at = |millis: u64| Instant::from_micros(millis * 1000);
         for (came, back) in [(499, Some(1)), (500, None)] {
-            let mut owed = PendingLate::new();
-            owed.add(&probe, probe.expected.unwrap(), 1, at(0));
-            assert_eq!(owed.settle(0, at(came)), back);
+            let mut late = PendingLate::new();
+            late.add(&probe, probe.expected.unwrap(), 1, at(0));
+            assert_eq!(late.settle(0, at(came)), back);
         }
         let mut shorter = request(1, READ);
         shorter.become_probe(&Limits { probe_period_ms: 100, ..limits });

@@ -28,26 +28,26 @@ impl Expected {
         }
     }
 
-    /// Whether a reply that `self` is owed could be taken for the reply to `request`: an exception fits every Modbus
-    /// request of its function code.
+    /// Tells whether a late response that fits `self` could be taken for the response to `request`: an exception fits
+    /// every Modbus request of its function code.
     pub(super) fn could_answer(&self, request: &Self) -> bool {
         match (self, request) {
-            (Self::Modbus(owed), Self::Modbus(asked)) => {
-                owed.unit() == asked.unit() && owed.function() == asked.function()
+            (Self::Modbus(late), Self::Modbus(asked)) => {
+                late.unit() == asked.unit() && late.function() == asked.function()
             }
-            (Self::Nst(owed), Self::Nst(asked)) => owed == asked,
+            (Self::Nst(late), Self::Nst(asked)) => late == asked,
             _ => false,
         }
     }
 
-    /// Whether it could be taken for the reply to a part of a request that CAN splits.
+    /// Tells whether it could be taken for the response to a part of a request that CAN splits.
     pub(super) fn could_answer_part(&self, request: &Self) -> bool {
-        let (Self::Nst(owed), Self::Nst(asked)) = (self, request) else { return false };
+        let (Self::Nst(late), Self::Nst(asked)) = (self, request) else { return false };
         let longest = if asked.function().is_read() { can::READ_MAX } else { can::WRITE_MAX };
-        let (owed_length, length) = (usize::from(owed.length()), usize::from(asked.length()));
-        owed.address() == asked.address()
-            && owed.function() == asked.function()
-            && (owed_length == longest.min(length) || length.checked_rem(longest) == Some(owed_length))
+        let (late_length, length) = (usize::from(late.length()), usize::from(asked.length()));
+        late.address() == asked.address()
+            && late.function() == asked.function()
+            && (late_length == longest.min(length) || length.checked_rem(longest) == Some(late_length))
     }
 
     pub(super) fn lengths(&self) -> [usize; 2] {
@@ -102,8 +102,8 @@ pub(super) struct Request {
     /// Time that the bus waits for the answer, without the time on the wire.
     pub(super) timeout: Duration,
     /// Time that the device has for it: more, where a probe is not to hold up the bus.
-    pub(super) allowed: Duration,
-    /// How long a reply is owed after a timeout.
+    pub(super) alllate: Duration,
+    /// How long a late response is waited for after a timeout.
     pub(super) late_response_window: Duration,
     /// How often it may be sent again.
     pub(super) retries: u8,
@@ -129,7 +129,7 @@ impl Request {
             expected,
             function,
             timeout: route.timeout(is_read),
-            allowed: route.timeout(is_read),
+            alllate: route.timeout(is_read),
             late_response_window: route.late_response_window(is_read),
             retries: if is_read { route.read_retries } else { 0 },
             is_split: route.protocol == Protocol::NstOverCan,
@@ -149,7 +149,7 @@ impl Request {
 
     /// Time in which the answer counts, where the bus waits for less of it.
     pub(super) fn probe_window(&self) -> Option<Duration> {
-        (self.timeout < self.allowed).then_some(self.allowed)
+        (self.timeout < self.alllate).then_some(self.alllate)
     }
 
     pub(super) fn is_read(&self) -> bool {

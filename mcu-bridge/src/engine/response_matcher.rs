@@ -10,7 +10,7 @@ use jointbus_protocol::modbus::ascii;
 /// Bytes that the search for a reply looks back on.
 const WINDOW: usize = FRAME_MAX + 16;
 
-/// Kinds of frame that a bus looks for: the reply in flight and those owed, each with an exception.
+/// Kinds of frame that a bus looks for: the response in flight and the late ones, each with an exception.
 const KINDS: usize = 2 * (LATE_MAX + 1);
 
 /// What a bus waits for.
@@ -43,7 +43,7 @@ impl Match<KINDS> for Wanted<'_> {
 pub(super) enum Received<'a> {
     /// The reply in flight, without address and checksum.
     Reply(&'a [u8]),
-    /// One that is owed, likewise.
+    /// A late one, likewise.
     LateResponse(usize, &'a [u8]),
     /// Whole, and wanted by nobody; RTU and NST frames can't be told from noise then.
     Foreign,

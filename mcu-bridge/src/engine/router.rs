@@ -3,15 +3,15 @@
 use crate::board::{ROUTES, Route, Topology};
 
 /// Rows in a word: each takes nine bits, a byte and the carry of what is added to it.
-const LANES: usize = 3;
-const LANE: u32 = u8::BITS + 1;
+const ROWS: usize = 3;
+const ROW_BITS: u32 = u8::BITS + 1;
 
-/// 1 in every lane, and its carry.
-const ONES: u32 = 1 | 1 << LANE | 1 << (2 * LANE);
+/// 1 in every row, and its carry.
+const ONES: u32 = 1 | 1 << ROW_BITS | 1 << (2 * ROW_BITS);
 const CARRIES: u32 = ONES << u8::BITS;
 
 /// Rows in two groups, which are looked through in one step.
-const PAIR: usize = 2 * LANES;
+const PAIR: usize = 2 * ROWS;
 
 /// A whole number of pairs.
 const GROUPS: usize = 2 * ROUTES.div_ceil(PAIR);
@@ -26,7 +26,7 @@ struct Group {
 }
 
 impl Group {
-    /// The carries of the rows that serve a unit, given in every lane.
+    /// The carries of the rows that serve a unit, given in every row.
     const fn serve(self, units: u32) -> u32 {
         self.from.wrapping_add(units) & self.to.wrapping_sub(units) & CARRIES
     }
@@ -54,10 +54,10 @@ impl Router {
         for group in &mut self.0 {
             // a row that is not used serves no unit, and lends its neighbour nothing
             *group = Group { from: 0, to: CARRIES };
-            for lane in [0, LANE, 2 * LANE] {
+            for shift in [0, ROW_BITS, 2 * ROW_BITS] {
                 if let Some(row) = rows.next().filter(|row| row.is_used()) {
-                    group.from |= (1u32 << u8::BITS).wrapping_sub(row.first_unit.into()) << lane;
-                    group.to |= u32::from(row.last_unit) << lane;
+                    group.from |= (1u32 << u8::BITS).wrapping_sub(row.first_unit.into()) << shift;
+                    group.to |= u32::from(row.last_unit) << shift;
                 }
             }
         }
@@ -71,10 +71,10 @@ impl Router {
         for [first, second] in self.0.as_chunks().0 {
             let (first, second) = (first.serve(units), second.serve(units));
             if first | second != 0 {
-                let (lanes, row) =
-                    if first != 0 { (first, row) } else { (second, row.wrapping_add(LANES as u8)) };
-                // the carry of a lane is its last bit
-                return Some(row.wrapping_add((lanes.trailing_zeros() / LANE) as u8));
+                let (found, row) =
+                    if first != 0 { (first, row) } else { (second, row.wrapping_add(ROWS as u8)) };
+                // the carry of a row is its last bit
+                return Some(row.wrapping_add((found.trailing_zeros() / ROW_BITS) as u8));
             }
             row = row.wrapping_add(PAIR as u8);
         }

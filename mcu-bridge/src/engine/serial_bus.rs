@@ -142,7 +142,7 @@ impl SerialBus {
         result
     }
 
-    /// Whether a request would have to wait for a reply that its unit owes.
+    /// Tells whether a request has to wait for a late response.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         self.queue.late.holds(request, now)
     }
@@ -394,7 +394,7 @@ impl SerialBus {
                 cx.answer(&transaction.request, content, *sent, self.busy);
                 self.finish(cx);
             }
-            // silence has ended whatever it was; kept, it would be due again at once and until the timeout
+            // silence has ended it; if it stayed, it would be due again at once and until the timeout
             None => self.discard(cx),
         }
     }

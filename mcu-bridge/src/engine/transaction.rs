@@ -43,7 +43,7 @@ impl Transaction {
         false
     }
 
-    /// It has ended; what its device left unanswered is owed.
+    /// Ends it; the responses to attempts that timed out may still come late.
     pub(super) fn end(self, expected: Option<Expected>, queue: &mut BusQueue, cx: &mut Context<'_>) {
         if self.request.origin == Origin::Host {
             cx.host.output.release();

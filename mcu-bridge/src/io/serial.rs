@@ -1,7 +1,7 @@
 //! A serial port whose interrupt and main loop share two bounded rings of bytes.
 //!
-//! The place of the end of a transmission among the received bytes is kept, so that a reply is never taken for something
-//! that came before the request had left. The rings are no queues of a crate because an interrupt per byte is to be
+//! The end of a transmission is kept with its place among the received bytes, so that a response is never taken for
+//! something that came before the request had left. The rings are no queues of a crate because an interrupt per byte is to be
 //! short: their length is a power of two and known when it is compiled, and all they need are words that are loaded and
 //! stored whole: a Cortex-M0+ has no other atomic operations. What the interrupt counts it alone writes; the main loop
 //! remembers how far it has seen the count.
@@ -121,6 +121,22 @@ impl<const N: usize> Ring<N> {
         }
         self.ends.put.store(put.wrapping_add(1), Ordering::Release);
         true
+    }
+
+    /// Puts in as many bytes as there is room for; tells how many.
+    fn put_all(&self, bytes: &[u8]) -> usize {
+        let put = self.ends.put.load(Ordering::Relaxed);
+        let used = put.wrapping_sub(self.ends.taken.load(Ordering::Acquire));
+        let room = (N as u32).saturating_sub(used) as usize;
+        let mut next = put;
+        for byte in bytes.iter().take(room) {
+            if let Some(place) = self.bytes.get((next & Self::MASK) as usize) {
+                place.store(*byte, Ordering::Relaxed);
+            }
+            next = next.wrapping_add(1);
+        }
+        self.ends.put.store(next, Ordering::Release);
+        next.wrapping_sub(put) as usize
     }
 
     fn take(&self) -> Option<u8> {
@@ -365,12 +381,14 @@ impl MainHalf<'_> {
         self.is_quiet() || self.shared.progress.more_than(&mut self.seen.progress) > 0
     }
 
-    /// Carries what came in to the engine.
+    /// Carries what came in to the engine; tells whether there was any.
     #[inline]
-    pub fn drain_rx(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
-        if !(self.is_idle() && self.is_well()) {
+    pub fn drain_rx(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) -> bool {
+        let came = !(self.is_idle() && self.is_well());
+        if came {
             self.carry_all_in(engine, port, now);
         }
+        came
     }
 
     #[inline(never)]
@@ -420,13 +438,7 @@ impl MainHalf<'_> {
         if output.is_empty() {
             return false;
         }
-        let mut taken = 0usize;
-        for byte in output {
-            if !self.shared.outgoing.put(*byte) {
-                break;
-            }
-            taken = taken.saturating_add(1);
-        }
+        let taken = self.shared.outgoing.put_all(output);
         engine.advance(port, taken);
         if taken > 0 {
             self.shared.sending.store(true, Ordering::Release);
@@ -435,7 +447,7 @@ impl MainHalf<'_> {
     }
 }
 
-/// The moment not after `now`, and not as much as 71 minutes before, whose low half is `micros`.
+/// The time whose low half is `micros`: not after `now`, and less than 36 minutes before.
 #[must_use]
 pub fn extend_timestamp(now: Instant, micros: u32) -> Instant {
     let [_, _, _, _, low @ ..] = now.as_micros().to_be_bytes();

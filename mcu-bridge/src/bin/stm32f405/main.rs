@@ -104,6 +104,8 @@ mod app {
     struct Todo {
         /// The CAN controller is to give up its frames.
         abort: bool,
+        /// A port has not taken all that it is to send.
+        output: bool,
         /// The chip is to be reset when the host has its answer.
         reboot: bool,
     }
@@ -231,12 +233,19 @@ mod app {
             let analog = local.inputs.analog(now.as_micros() as u32);
             engine.units_mut().1.set_inputs(local.inputs.digital(), analog);
             heartbeats.set(Task::Inputs);
+            let mut came = false;
             for line in local.lines.iter_mut() {
-                line.queues.drain_rx(engine, line.port, now);
+                came |= line.queues.drain_rx(engine, line.port, now);
             }
             if local.frames.ready() || CAN_REPORTS.are_there() {
                 carry_can_in(engine, local.frames, now);
+                came = true;
             }
+            if came {
+                // a request or a reply is not to wait for what is due beside it
+                carry_out(engine, local.lines, local.can.is_some(), &mut todo, now);
+            }
+            let has_output = todo.output || todo.abort || !engine.is_idle(now);
             if local.can.is_some() {
                 engine.set_bus_off(CAN, bxcan::is_bus_off(can()), now);
             }
@@ -260,16 +269,13 @@ mod app {
                 }
             }
 
+            if has_output {
+                carry_out(engine, local.lines, local.can.is_some(), &mut todo, now);
+            }
             for line in local.lines.iter_mut() {
-                if line.queues.fill_tx(engine, line.port) {
-                    rtic::pend(line.interrupt);
-                }
                 if line.queues.made_progress() {
                     heartbeats.set(Task::Port(line.port));
                 }
-            }
-            if local.can.is_some() {
-                carry_can_out(engine, &mut todo, now);
             }
             heartbeats.set(Task::Port(CAN));
             let [host, ..] = &local.lines;
@@ -371,6 +377,20 @@ mod app {
         let at = extend_timestamp(now, CAN_REPORTS.sent_micros.load(Ordering::Relaxed));
         for _ in 0..CAN_REPORTS.sent.swap(0, Ordering::Relaxed) {
             engine.frame_sent(CAN, at);
+        }
+    }
+
+    /// Hands over what is to be sent.
+    fn carry_out(engine: &mut Engine, lines: &mut [Line], has_can: bool, todo: &mut Todo, now: Instant) {
+        todo.output = false;
+        for line in lines {
+            if line.queues.fill_tx(engine, line.port) {
+                rtic::pend(line.interrupt);
+            }
+            todo.output |= !engine.output(line.port).is_empty();
+        }
+        if has_can {
+            carry_can_out(engine, todo, now);
         }
     }
 
