@@ -1,6 +1,7 @@
 //! The bridge's own unit, as a host sees it: who it is, its counters, its time limits.
 
 use crate::client::{Client, Error};
+use jointbus_mcu_bridge::registers::{self, command};
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
@@ -8,7 +9,7 @@ use std::time::{Duration, Instant};
 pub const UNIT: u8 = 247;
 
 /// Version of the register map that this module knows.
-pub const MAP_VERSION: u16 = 1;
+pub const MAP_VERSION: u16 = registers::MAP;
 
 /// Numbers of the ports in the register map.
 pub mod port {
@@ -25,15 +26,7 @@ pub mod port {
 /// Numbers of the routes that lead to buses in the default configuration.
 pub const BUS_ROUTES: [u16; 3] = [0, 1, 3];
 
-const COMMAND: u16 = 0x0000;
-const APPLY: u16 = 0xA991;
-const CONFIRM: u16 = 0xC0F1;
-const BURST_SILENCE: u16 = 0x0043;
-const PORT_COUNTERS: u16 = 0x0020;
-const ROUTES: u16 = 0x0100;
-const ROUTE_TIMES: u16 = 5;
-
-/// What the bridge tells about itself: input registers 0x0000 to 0x0009.
+/// What the bridge tells about itself: input registers [`registers::MAP_VERSION`] to [`registers::HEALTH`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct About {
     /// Version of the register map.
@@ -53,7 +46,7 @@ pub struct About {
 /// # Errors
 /// [`Error`]. So for every function here.
 pub fn about<S: Read + Write>(client: &mut Client<S>) -> Result<About, Error> {
-    match *client.modbus(UNIT).read_input_registers(0, 10)? {
+    match *client.modbus(UNIT).read_input_registers(registers::MAP_VERSION.address, 10)? {
         [map_version, major, minor, patch, a, b, c, d, reset_cause, health] => Ok(About {
             map_version,
             version: [major, minor, patch],
@@ -113,7 +106,7 @@ pub struct Counters {
 /// # Errors
 /// [`Error`].
 pub fn counters<S: Read + Write>(client: &mut Client<S>, port: u16) -> Result<Counters, Error> {
-    let words = client.modbus(UNIT).read_input_registers(PORT_COUNTERS + 0x20 * port, 24)?;
+    let words = client.modbus(UNIT).read_input_registers(registers::RECEIVED.at(port.into()), 24)?;
     let mut values =
         words.as_chunks::<2>().0.iter().map(|[high, low]| u32::from(*high) << 16 | u32::from(*low));
     let mut next = || values.next().ok_or(Error::Answer);
@@ -144,7 +137,7 @@ pub struct Limits {
     pub retries: u16,
     /// Time after which a request is no longer sent, in ms.
     pub time_to_live_ms: u16,
-    /// How long a reply is owed, in ms; 0 stands for three times the timeout.
+    /// How long a late response is waited for, in ms; 0 stands for three times the timeout.
     pub late_response_window_ms: u16,
     /// Silence that ends a burst from the host, in 100 us.
     pub burst_silence_100us: u16,
@@ -179,7 +172,7 @@ fn set_burst_silence<S: Read + Write>(client: &mut Client<S>, silence_100us: u16
     let deadline = Instant::now() + patience;
     client.set_timeout(patience.min(ASK_AGAIN));
     let result = loop {
-        match client.modbus(UNIT).write_registers(BURST_SILENCE, &[silence_100us]) {
+        match client.modbus(UNIT).write_registers(registers::BURST_SILENCE.address, &[silence_100us]) {
             Err(Error::Timeout) if Instant::now() < deadline => {}
             result => break result,
         }
@@ -205,14 +198,15 @@ pub fn set_limits<S: Read + Write>(client: &mut Client<S>, limits: &Limits) -> R
     ];
     for _ in 0..TRIES {
         for route in BUS_ROUTES {
-            own.write_registers(ROUTES + 0x10 * route + ROUTE_TIMES, &times)?;
+            own.write_registers(registers::ROUTE_READ_TIMEOUT.at(route.into()), &times)?;
         }
-        own.write_registers(COMMAND, &[APPLY])?;
-        own.write_registers(COMMAND, &[CONFIRM])?;
+        own.write_registers(registers::COMMAND.address, &[command::APPLY])?;
+        own.write_registers(registers::COMMAND.address, &[command::CONFIRM])?;
         // what was confirmed too late is no longer staged
         let mut kept = true;
         for route in BUS_ROUTES {
-            kept &= own.read_holding_registers(ROUTES + 0x10 * route + ROUTE_TIMES, 5)? == times;
+            let found = own.read_holding_registers(registers::ROUTE_READ_TIMEOUT.at(route.into()), 5)?;
+            kept &= found == times;
         }
         if kept {
             return Ok(());

@@ -2,6 +2,7 @@
 
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
+use jointbus_mcu_bridge::registers;
 
 /// Pins of the digital inputs and outputs in their order, and channels of the analog inputs.
 const INPUTS: [&str; 8] = ["PC0", "PC1", "PC2", "PC3", "PC4", "PC5", "PC8", "PC9"];
@@ -144,14 +145,13 @@ fn analog_inputs_are_measured_and_told_when_they_cannot_be() {
 #[test]
 fn host_silence_switches_the_pins_off() {
     /// Host silence in ms.
-    const HOST_SILENCE: u16 = 0x0042;
     let bench = Bench::emulated(&options()).unwrap();
     let mut client = bench.client().unwrap();
     let emulator = emulator(&bench);
     client.modbus(IO_UNIT).write_coil(0x0207, true).unwrap();
     client.modbus(OUTPUTS_UNIT).write_values(4, &[5f32.to_bits(), 1]).unwrap();
     until(|| emulator.ask("level PC11").unwrap() == "1" && emulator.ask("dac 1").unwrap() == "4095");
-    client.modbus(bridge::UNIT).write_register(HOST_SILENCE, 300).unwrap();
+    client.modbus(bridge::UNIT).write_register(registers::HOST_SILENCE.address, 300).unwrap();
     until(|| emulator.ask("level PC11").unwrap() == "0" && emulator.ask("dac 1").unwrap() == "2047");
     let set = client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap();
     assert_eq!(set, [5f32.to_bits(), 0], "the set value stays");

@@ -2,6 +2,7 @@
 
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
+use jointbus_mcu_bridge::registers;
 use jointbus_protocol::nst::Sample;
 use jointbus_protocol::time::Instant as Moment;
 use std::time::Instant;
@@ -71,10 +72,11 @@ fn a_polling_slot_is_read_as_one_block() {
     let bench = Bench::emulated(&options()).unwrap();
     let mut client = bench.client().unwrap();
     // slot 2: the sensor on CAN, each 5 ms
-    client.modbus(bridge::UNIT).write_registers(0x0054, &[CAN_UNIT.into(), 50]).unwrap();
+    client.modbus(bridge::UNIT).write_registers(registers::SLOT_UNIT.at(2), &[CAN_UNIT.into(), 50]).unwrap();
     let mut last = 0;
     for _ in 0..50 {
-        let block = client.modbus(bridge::UNIT).read_input_registers(0x0140, 24).unwrap();
+        let block =
+            client.modbus(bridge::UNIT).read_input_registers(registers::SLOT_STATE.at(2), 24).unwrap();
         let long = |at: usize| u32::from(block[at]) << 16 | u32::from(block[at + 1]);
         let (state, sequence) = (block[0], long(2));
         assert_eq!((block[1], long(10)), (CAN_UNIT.into(), 0), "unit and failures");
@@ -88,7 +90,10 @@ fn a_polling_slot_is_read_as_one_block() {
             bench.can.lock().sensor(1).unwrap().told().between(START, END).any(|(_, told)| *told == sample);
         assert!(told, "{sample:?} is none that the sensor told: torn");
     }
-    until(|| client.modbus(bridge::UNIT).read_input_registers(0x0143, 1).unwrap()[0] > 50);
+    until(|| {
+        client.modbus(bridge::UNIT).read_input_registers(registers::SLOT_SEQUENCE.at(2) + 1, 1).unwrap()[0]
+            > 50
+    });
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
 use jointbus::clock::Clock;
+use jointbus_mcu_bridge::registers::{self, command};
 
 #[test]
 fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
@@ -13,7 +14,7 @@ fn a_hard_fault_leads_to_a_reset_whose_cause_is_told() {
     set_register(&debugger, Debugger::PC, 0xF000_0000);
     client.set_timeout(Duration::from_millis(500));
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 5));
-    client.modbus(bridge::UNIT).write_register(0, 0xB007).unwrap();
+    client.modbus(bridge::UNIT).write_register(registers::COMMAND.address, command::REBOOT).unwrap();
     until(|| matches!(bridge::about(&mut client), Ok(about) if about.reset_cause == 3));
 }
 
@@ -102,7 +103,7 @@ fn no_request_uses_more_stack_than_there_is() {
         client.modbus(RS485_B_UNIT).read_input_registers(0x0040, 8).unwrap();
         client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap();
         client.modbus(bridge::UNIT).read_input_registers(0, 120).unwrap();
-        client.modbus(bridge::UNIT).write_register(0, 0x5A7E).unwrap();
+        client.modbus(bridge::UNIT).write_register(registers::COMMAND.address, command::SAVE).unwrap();
     }
     let mut stopped = stop(&debugger);
     let stack = stopped.read(STACK, size).unwrap();
