@@ -249,7 +249,7 @@ impl Match<2> for ExpectedResponse {
             Shape::Counted | Shape::Identification | Shape::Refusal | Shape::Open => 0,
         };
         let response = if pdu == 0 { 0 } else { pdu.saturating_add(OVERHEAD) };
-        [response, super::rtu::EXCEPTION_LENGTH]
+        [response, EXCEPTION_PDU.saturating_add(OVERHEAD)]
     }
 
     fn accepts(&self, _: usize, frame: &[u8]) -> bool {

@@ -37,7 +37,7 @@ pub enum Response<'a> {
     CommEventCounter {
         /// 0xFFFF while a program command is under way, else 0.
         status: u16,
-        /// RequestFraming that were carried out, but for those of this kind and refused ones.
+        /// Requests that were carried out, but for those of this kind and refused ones.
         events: u16,
     },
     /// Answer to 0x0C.

@@ -119,7 +119,7 @@ fn with_byte_count(prefix: &[u8], at: usize) -> FrameLength {
     }
 }
 
-/// RequestFraming to one unit of a line that has no other: what a slave without neighbours receives.
+/// Requests to one unit of a line that has no other: what a slave without neighbours receives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RequestFraming;
 

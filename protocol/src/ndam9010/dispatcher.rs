@@ -1,6 +1,6 @@
 use super::register::{AREA_BITS, AREA_REGISTERS, Area};
 use crate::error::error_text;
-use crate::modbus::server::{Failure, RegisterWriter, complete, data_unit, reading, written};
+use crate::modbus::server::{Failure, RegisterWriter, complete, data_unit, echo, reading, words};
 use crate::modbus::{AddressRange, COIL_OFF, COIL_ON, ExceptionCode, Request, bit, packed_len, registers};
 use crate::wire::{NoSpace, Writer};
 
@@ -174,19 +174,19 @@ pub(super) fn answer(
                 COIL_OFF => [0],
                 _ => return Err(ExceptionCode::IllegalDataValue.into()),
             };
-            written(code, [address, value], writer)?;
+            echo(code, words([address, value]), writer)?;
             Ok(write_bits(module, AddressRange::new(address, 1), &bit)?)
         }
         Request::WriteSingleRegister { address, value } => {
-            written(code, [address, value], writer)?;
+            echo(code, words([address, value]), writer)?;
             Ok(write_registers(module, AddressRange::new(address, 1), &value.to_be_bytes())?)
         }
         Request::WriteMultipleCoils { range, data } => {
-            written(code, [range.start, range.quantity], writer)?;
+            echo(code, words([range.start, range.quantity]), writer)?;
             Ok(write_bits(module, range, data)?)
         }
         Request::WriteMultipleRegisters { range, data } => {
-            written(code, [range.start, range.quantity], writer)?;
+            echo(code, words([range.start, range.quantity]), writer)?;
             Ok(write_registers(module, range, data)?)
         }
         _ => Err(ExceptionCode::IllegalFunction.into()),

@@ -7,20 +7,20 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Area {
-    /// Digital inputs: registers 0x0000 to 0x001F, 16 inputs each; bits 0x0000 to 0x01FF.
+    /// Digital inputs: registers `0x0000`, length 32, 16 inputs each; bits `0x0000`, length 512.
     DigitalInput,
-    /// Digital outputs: registers 0x0020 to 0x003F, 16 outputs each; bits 0x0200 to 0x03FF.
+    /// Digital outputs: registers `0x0020`, length 32, 16 outputs each; bits `0x0200`, length 512.
     DigitalOutput,
-    /// Analog inputs: registers 0x0040 to 0x005F, one each.
+    /// Analog inputs: registers `0x0040`, length 32, one each.
     AnalogInput,
-    /// Analog outputs: registers 0x0060 to 0x007F, one each.
+    /// Analog outputs: registers `0x0060`, length 32, one each.
     AnalogOutput,
 }
 
-/// Registers of an area, and most registers of one request.
+/// Registers of an area, 32, and most registers of one request.
 pub const AREA_REGISTERS: u16 = 0x20;
 
-/// Bits of a digital area, and most bits of one request.
+/// Bits of a digital area, 512, and most bits of one request.
 pub const AREA_BITS: u16 = 0x200;
 
 impl Area {

@@ -55,7 +55,7 @@ pub fn request_length(prefix: &[u8]) -> FrameLength {
     }
 }
 
-/// RequestFraming to a device.
+/// Requests to a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RequestFraming;
 

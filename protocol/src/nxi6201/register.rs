@@ -3,31 +3,31 @@
 
 use super::CHANNELS;
 
-/// What a pair of registers holds; channels count from 0.
+/// What a pair of registers holds, at its first address and with its length in registers. Channels count from 0 (`n`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Register {
-    /// 2 + 20 n: [`OutputRange`] (5.1.1).
-    AddressRange(usize),
-    /// 4 + 20 n: set value as f32, V or mA by range, range 1 in V (5.1.2).
+    /// `2 + 20 n`, length 2: [`OutputRange`] (5.1.1).
+    Range(usize),
+    /// `4 + 20 n`, length 2: set value as f32, V or mA by range, range 1 in V (5.1.2).
     SetValue(usize),
-    /// 6 + 20 n: 0 off, 1 on (5.1.3).
+    /// `6 + 20 n`, length 2: 0 off, 1 on (5.1.3).
     Output(usize),
-    /// 8 + 20 n: power-up start, 1 on, anything else off (5.1.4).
+    /// `8 + 20 n`, length 2: power-up start, 1 on, anything else off (5.1.4).
     StartEnable(usize),
-    /// 10 + 20 n: power-up range (5.1.5).
+    /// `10 + 20 n`, length 2: power-up range (5.1.5).
     StartRange(usize),
-    /// 12 + 20 n: power-up set value (5.1.6).
+    /// `12 + 20 n`, length 2: power-up set value (5.1.6).
     StartValue(usize),
-    /// 80 + 2 n: [`External`] control (5.1.7).
+    /// `80 + 2 n`, length 2: [`External`] control (5.1.7).
     External(usize),
-    /// 422: CAN bit/s, 5000 to 1000000 (5.1.29).
+    /// `422`, length 2: CAN bit/s, 5000 to 1000000 (5.1.29).
     CanBitRate,
-    /// 424: CAN ID, 1 to 127 (5.1.30).
+    /// `424`, length 2: CAN ID, 1 to 127 (5.1.30).
     CanId,
-    /// 428: keep range, set value and external control over power-off (5.1.31).
+    /// `428`, length 2: keep range, set value and external control over power-off (5.1.31).
     Keep,
-    /// 62436: written with 1, every setting that has a default returns to it (5.1.32). Write only.
+    /// `62436`, length 2: written with 1, every setting that has a default returns to it (5.1.32). Write only.
     FactoryReset,
 }
 
@@ -40,7 +40,7 @@ impl Register {
                 let offset = address.wrapping_sub(2);
                 let channel = (offset / 20) as usize;
                 match offset % 20 {
-                    0 => Some(Self::AddressRange(channel)),
+                    0 => Some(Self::Range(channel)),
                     2 => Some(Self::SetValue(channel)),
                     4 => Some(Self::Output(channel)),
                     6 => Some(Self::StartEnable(channel)),
@@ -59,7 +59,7 @@ impl Register {
     }
 }
 
-/// AddressRange of a channel (5.1.1).
+/// Range of a channel (5.1.1).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OutputRange {
@@ -151,7 +151,7 @@ impl External {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Channel {
-    /// AddressRange.
+    /// Range.
     pub range: OutputRange,
     /// Set value, within the range's limits.
     pub set_value: f32,
@@ -159,7 +159,7 @@ pub struct Channel {
     pub output: bool,
     /// Power-up start as written; 1 means on.
     pub start_enable: u32,
-    /// AddressRange after power-up.
+    /// Range after power-up.
     pub start_range: OutputRange,
     /// Set value after power-up, within that range's limits.
     pub start_value: f32,
@@ -193,7 +193,7 @@ impl Settings {
     pub fn read(&self, register: Register) -> Option<u32> {
         let channel = |index: usize| self.channels.get(index);
         Some(match register {
-            Register::AddressRange(index) => channel(index)?.range.value(),
+            Register::Range(index) => channel(index)?.range.value(),
             Register::SetValue(index) => channel(index)?.set_value.to_bits(),
             Register::Output(index) => u32::from(channel(index)?.output),
             Register::StartEnable(index) => channel(index)?.start_enable,

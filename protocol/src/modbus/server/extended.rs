@@ -1,5 +1,5 @@
-use super::basic::{bytes_of_registers, complete, echo, judge, reading};
-use super::owner::{Failure, Server};
+use super::Server;
+use super::common::{Failure, bytes_of_registers, complete, judge, reading};
 use super::view::{RegisterWriter, Registers};
 use crate::modbus::identification::{self, MEI_TYPE, OBJECT_MAX, ObjectId, ReadDeviceIdCode};
 use crate::modbus::{
@@ -8,7 +8,7 @@ use crate::modbus::{
 use crate::wire::Writer;
 
 /// The function codes beside the basic ones.
-pub(super) fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_>) -> Result<(), Failure> {
+pub(super) fn extended(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_>) -> Result<(), Failure> {
     let request = Request::decode(pdu).map_err(|_| ExceptionCode::IllegalDataValue)?;
     let function = request.function();
     if let Request::ReadWriteMultipleRegisters { read, write, data } = request {
@@ -21,13 +21,12 @@ pub(super) fn rarer(server: &mut impl Server, pdu: &[u8], writer: &mut Writer<'_
         server.read_write_registers(write, Registers::new(data), read, &mut registers)?;
         return Ok(complete(registers.remaining() == 0)?);
     }
+    if let Request::MaskWriteRegister { address, and, or } = request {
+        writer.slice(pdu)?;
+        return Ok(server.mask_write_register(address, and, or)?);
+    }
     writer.u8(function.code())?;
     match request {
-        Request::MaskWriteRegister { address, and, or } => {
-            echo(writer, address, and)?;
-            writer.u16_be(or)?;
-            server.mask_write_register(address, and, or)?;
-        }
         Request::ReadExceptionStatus => {
             let place = writer.reserve(1)?;
             place.fill(server.exception_status()?);

@@ -1,11 +1,43 @@
-use super::NoResponse;
-use super::basic::{answer, respond};
-use super::owner::Server;
+use super::Server;
+use super::basic::basic;
+use super::common::{Failure, NoResponse, conclude};
+use super::extended::extended;
 use crate::checksum::{self, CRC_LENGTH};
 use crate::modbus::identification::MEI_TYPE;
-use crate::modbus::rtu::{FRAME_MAX, FRAME_MIN, FrameError};
-use crate::modbus::{BROADCAST, FunctionCode, ascii, tcp};
+use crate::modbus::rtu::{FRAME_MAX, FRAME_MIN, Frame, FrameError};
+use crate::modbus::{BROADCAST, ExceptionCode, FunctionCode, ascii, tcp};
 use crate::wire::{NoSpace, Writer};
+
+/// Answers a request's data unit into `out`: the response, or an exception by the specification's state diagrams.
+///
+/// `out` must have room for the response even where an exception is the answer; [`PDU_MAX`](crate::modbus::PDU_MAX) bytes hold any.
+///
+/// # Errors
+/// [`NoResponse::NoRequest`] or [`NoResponse::NoSpace`]; nothing has been written then.
+pub fn respond<'b>(server: &mut impl Server, pdu: &[u8], out: &'b mut [u8]) -> Result<&'b [u8], NoResponse> {
+    let mut writer = Writer::new(out);
+    answer(server, pdu, &mut writer)?;
+    Ok(writer.finish())
+}
+
+/// Appends the response to `pdu`; tells the exception, if it is one.
+fn answer(
+    server: &mut impl Server,
+    pdu: &[u8],
+    writer: &mut Writer<'_>,
+) -> Result<Option<ExceptionCode>, NoResponse> {
+    let Some((&code @ 0x01..0x80, data)) = pdu.split_first() else { return Err(NoResponse::NoRequest) };
+    let function = FunctionCode::from_code(code);
+    let start = writer.written().len();
+    let result = if !server.supports(function) {
+        Err(Failure::Exception(ExceptionCode::IllegalFunction))
+    } else if function.is_basic() {
+        basic(server, code, function, data, writer)
+    } else {
+        extended(server, pdu, writer)
+    };
+    conclude(result, code, start, writer).map_err(|NoSpace| NoResponse::NoSpace)
+}
 
 /// Answers an RTU frame to `unit`, or to all, into `out`.
 ///
@@ -56,6 +88,26 @@ pub fn rtu_with<'b>(
     let place = rest.first_chunk_mut::<CRC_LENGTH>().ok_or(NoResponse::NoSpace)?;
     *place = crc16(head).to_le_bytes();
     out.get(..used.saturating_add(CRC_LENGTH)).ok_or(NoResponse::NoSpace)
+}
+
+/// [`rtu`] of a frame whose checksum was looked at: from [`line::MultidropDecoder`](crate::modbus::line::MultidropDecoder).
+///
+/// # Errors
+/// [`NoResponse`]: why there is no answer.
+pub fn rtu_frame<'b>(
+    server: &mut impl Server,
+    unit: u8,
+    frame: &Frame<'_>,
+    out: &'b mut [u8],
+) -> Result<&'b [u8], NoResponse> {
+    if frame.unit != unit && frame.unit != BROADCAST {
+        return Err(NoResponse::OtherUnit);
+    }
+    let room = out.len().checked_sub(CRC_LENGTH).ok_or(NoResponse::NoSpace)?;
+    let used = parts(server, frame.unit, frame.pdu, out.get_mut(..room).unwrap_or(&mut []))?;
+    let frame = out.get_mut(..usize::from(used).saturating_add(CRC_LENGTH)).ok_or(NoResponse::NoSpace)?;
+    checksum::close(frame);
+    Ok(frame)
 }
 
 /// Answers a frame of Modbus ASCII to `unit`, or to all, into `out`: the whole frame in characters.
@@ -126,7 +178,7 @@ mod tests {
     use super::*;
     use crate::modbus::rtu::{encode_request, encode_response};
     use crate::modbus::server::RamTables;
-    use crate::modbus::{AddressRange, ExceptionCode, Request, Response};
+    use crate::modbus::{AddressRange, Request, Response};
     use std::vec::Vec;
 
     type Tables = RamTables<0, 0, 4, 0>;

@@ -1,4 +1,4 @@
-use super::owner::Server;
+use super::Server;
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{AddressRange, ExceptionCode, FunctionCode, apply_mask};
 

@@ -1,40 +1,8 @@
-use super::basic::conclude;
-use super::owner::Failure;
+use super::common::{Destination, Failure, NoResponse, conclude};
 use crate::checksum::{self, CRC_LENGTH};
-use crate::error::error_text;
-use crate::modbus::rtu::{Frame, FrameError};
+use crate::modbus::rtu::Frame;
 use crate::modbus::{ExceptionCode, FunctionCode, Request, RequestError, ascii};
 use crate::wire::{NoSpace, Writer};
-
-/// To whom a unit address speaks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Destination {
-    /// To this server alone: it answers.
-    Unit,
-    /// To every server: writes only, never answered.
-    Broadcast,
-    /// To another one.
-    Other,
-}
-
-/// Why a frame is not answered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum NoResponse {
-    /// Length or CRC are wrong.
-    Frame(FrameError),
-    /// For another unit.
-    OtherUnit,
-    /// A broadcast is never answered; it was carried out, or refused for the reason given.
-    Broadcast(Option<ExceptionCode>),
-    /// A broadcast that does not write.
-    BroadcastRead,
-    /// No server is asked by function code 0 or one above 0x7F: a response of another one, or noise.
-    NoRequest,
-    /// The response does not fit the caller's buffer; nothing has been written.
-    NoSpace,
-}
 
 /// Answers an RTU frame into `out`: `dispatch` gets the unit and the request, and appends the data unit of the response.
 ///
@@ -110,17 +78,5 @@ pub const fn exception_for(error: RequestError) -> (FunctionCode, ExceptionCode)
         RequestError::Empty => (FunctionCode::Unknown(0), ExceptionCode::IllegalFunction),
         RequestError::Length(function) if function.is_basic() => (function, ExceptionCode::IllegalDataValue),
         RequestError::Length(function) => (function, ExceptionCode::IllegalFunction),
-    }
-}
-
-error_text! {
-    NoResponse {
-        NoResponse::Frame(error) => ("{error}"),
-        NoResponse::OtherUnit => ("for another unit"),
-        NoResponse::Broadcast(None) => ("a broadcast, carried out"),
-        NoResponse::Broadcast(Some(exception)) => ("a broadcast, refused: {exception}"),
-        NoResponse::BroadcastRead => ("a broadcast that does not write"),
-        NoResponse::NoRequest => ("a function code that asks nothing"),
-        NoResponse::NoSpace => ("the response does not fit the buffer"),
     }
 }

@@ -23,7 +23,7 @@ fn range() -> OutputRange {
 
 fn register() -> Option<Register> {
     match any(0) {
-        0 => Some(Register::AddressRange(size())),
+        0 => Some(Register::Range(size())),
         1 => Some(Register::SetValue(size())),
         2 => Some(Register::Output(size())),
         3 => Some(Register::StartEnable(size())),

@@ -7,7 +7,7 @@ use jointbus_protocol::modbus::server::{
     serve_ascii, serve_rtu,
 };
 use jointbus_protocol::modbus::{
-    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, RequestError, ascii, tcp,
+    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, RequestError, ascii, rtu, tcp,
 };
 
 use jointbus_protocol::wire::Writer;
@@ -76,6 +76,8 @@ fn append(writer: &mut Writer<'_>) -> Result<(), Failure> {
 fn serves(server: &mut impl Server) {
     buffer::<300>(|out| sink(server::respond(server, bytes(), out)));
     buffer::<300>(|out| sink(server::rtu(server, byte(), bytes(), out)));
+    let frame = rtu::Frame { unit: byte(), pdu: bytes() };
+    buffer::<300>(|out| sink(server::rtu_frame(server, byte(), &frame, out)));
     buffer::<300>(|out| sink(server::rtu_with(checksum::crc16_small, server, byte(), bytes(), out)));
     buffer::<300>(|out| sink(server::rtu_with(|_| word(), server, byte(), bytes(), out)));
     let frame = ascii::Frame { unit: byte(), pdu: bytes() };
