@@ -7,7 +7,8 @@
 
 use crate::bus::Event;
 use jointbus_protocol::can::{Frame, Id};
-use jointbus_protocol::slcan::{self, Command, LineReader, Outcome};
+use jointbus_protocol::slcan::{self, Command, LineError, LineReader};
+use jointbus_protocol::time::Instant;
 
 /// What a client wants that concerns the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,13 +43,13 @@ impl Adapter {
     /// Takes a byte from the client and appends the answer to `reply`.
     pub fn take(&mut self, byte: u8, reply: &mut Vec<u8>) -> Option<Request> {
         let byte = if byte == b'\n' { slcan::DONE } else { byte };
-        match self.reader.push(byte)? {
-            Outcome::Line([]) | Outcome::Refused => None,
-            Outcome::TooLong => {
+        match self.reader.feed(&mut &[byte][..], Instant::default())? {
+            slcan::Event::Frame([]) | slcan::Event::Dropped(LineError::Refused) => None,
+            slcan::Event::Dropped(LineError::TooLong) => {
                 reply.push(slcan::REFUSED);
                 None
             }
-            Outcome::Line(line) => {
+            slcan::Event::Frame(line) => {
                 let command = Command::decode(line);
                 self.answer(command.ok(), reply)
             }

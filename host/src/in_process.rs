@@ -10,7 +10,7 @@ use jointbus_mcu_bridge::board::{Port, Target};
 use jointbus_mcu_bridge::boards::stm32f405;
 use jointbus_mcu_bridge::engine::{Action, AnyEngine, Identity, ResetCause, STORED_LENGTH, Settings};
 use jointbus_protocol::can::Id;
-use jointbus_protocol::slcan::{self, LineReader, Outcome};
+use jointbus_protocol::slcan::{self, Event, LineReader};
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -250,9 +250,9 @@ impl Driver {
         due.map_or(TICK, |due| due.min(TICK))
     }
 
-    fn receive_lines(&mut self, port: Port, bytes: &[u8]) {
-        for byte in bytes {
-            let Some(Outcome::Line(line)) = self.lines[port.index()].push(*byte) else { continue };
+    fn receive_lines(&mut self, port: Port, mut bytes: &[u8]) {
+        while let Some(event) = self.lines[port.index()].feed(&mut bytes, self.clock.now()) {
+            let Event::Frame(line) = event else { continue };
             let Ok(slcan::Command::Frame(frame)) = slcan::Command::decode(line) else { continue };
             self.engine.receive_frame(port, &frame, self.clock.now());
             let confirmation = match frame.id() {

@@ -12,7 +12,7 @@ const PLACES: [(&str, &str); 10] = [
     ("clients", "host-tests/tests/real_clients.rs"),
     ("sim", "host-tests/tests/sim.rs"),
     ("unit", "mcu-bridge/src"),
-    ("decode", "protocol/src/decode.rs"),
+    ("decode", "protocol/src/decode"),
     ("nst", "protocol/src/nst"),
 ];
 

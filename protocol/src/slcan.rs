@@ -16,7 +16,9 @@
 //! The adapter answers with [`DONE`] or [`REFUSED`], and with [`SENT_STANDARD`] or [`SENT_EXTENDED`] for a frame.
 
 use crate::can::{Frame, Id};
+use crate::decode;
 use crate::error::error_text;
+use crate::time::Instant;
 
 /// Ends a line; alone it is the adapter's "done".
 pub const DONE: u8 = b'\r';
@@ -271,17 +273,18 @@ impl Line<'_> {
     }
 }
 
-/// What a byte completed.
+/// Why bytes are no line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Outcome<'reader> {
-    /// A line, without its carriage return; empty for a carriage return alone.
-    Line(&'reader [u8]),
+pub enum LineError {
     /// The adapter's [`REFUSED`]. What stood before it on the line is dropped.
     Refused,
     /// A line of more than `N` bytes has ended. It is dropped; the next one is read as usual.
     TooLong,
 }
+
+/// What comes out of a [`LineReader`]: a line without its carriage return, empty for a carriage return alone.
+pub type Event<'a> = decode::Event<&'a [u8], LineError>;
 
 /// Cuts a byte stream into lines of up to `N` bytes; [`LINE_MAX`] is enough for every command.
 #[derive(Debug, Clone)]
@@ -298,27 +301,28 @@ impl<const N: usize> LineReader<N> {
         Self { buffer: [0; N], length: 0, too_long: false }
     }
 
-    /// Takes one byte; the outcome where it ends a line.
-    pub fn push(&mut self, byte: u8) -> Option<Outcome<'_>> {
-        if byte != DONE && byte != REFUSED {
+    /// Takes bytes until there is an event or none are left; call again while there is one. The time is of no account.
+    pub fn feed(&mut self, bytes: &mut &[u8], _now: Instant) -> Option<Event<'_>> {
+        while let Some((byte, rest)) = bytes.split_first() {
+            *bytes = rest;
+            if *byte == DONE || *byte == REFUSED {
+                let length = core::mem::take(&mut self.length);
+                let too_long = core::mem::take(&mut self.too_long);
+                return Some(match self.buffer.get(..length) {
+                    _ if *byte == REFUSED => Event::Dropped(LineError::Refused),
+                    Some(line) if !too_long => Event::Frame(line),
+                    _ => Event::Dropped(LineError::TooLong),
+                });
+            }
             match self.buffer.get_mut(self.length) {
                 Some(place) => {
-                    *place = byte;
+                    *place = *byte;
                     self.length = self.length.saturating_add(1);
                 }
                 None => self.too_long = true,
             }
-            return None;
         }
-        let length = core::mem::take(&mut self.length);
-        let too_long = core::mem::take(&mut self.too_long);
-        if byte == REFUSED {
-            Some(Outcome::Refused)
-        } else if too_long {
-            Some(Outcome::TooLong)
-        } else {
-            self.buffer.get(..length).map(Outcome::Line)
-        }
+        None
     }
 }
 
@@ -439,14 +443,13 @@ mod tests {
 
     fn read<const N: usize>(bytes: &[u8]) -> Vec<Result<Vec<u8>, &'static str>> {
         let mut reader = LineReader::<N>::new();
-        let mut seen = Vec::new();
-        for &byte in bytes {
-            match reader.push(byte) {
-                Some(Outcome::Line(line)) => seen.push(Ok(line.to_vec())),
-                Some(Outcome::Refused) => seen.push(Err("refused")),
-                Some(Outcome::TooLong) => seen.push(Err("too long")),
-                None => {}
-            }
+        let (mut seen, mut rest) = (Vec::new(), bytes);
+        while let Some(event) = reader.feed(&mut rest, Instant::default()) {
+            seen.push(match event {
+                Event::Frame(line) => Ok(line.to_vec()),
+                Event::Dropped(LineError::Refused) => Err("refused"),
+                Event::Dropped(LineError::TooLong) => Err("too long"),
+            });
         }
         seen
     }

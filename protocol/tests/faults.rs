@@ -2,7 +2,9 @@
 
 use jointbus_protocol::can::{Frame as CanFrame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::decode::{DecodeError, Event, FrameDecoder, ResponseMatcher, STRAY_MAX};
+use jointbus_protocol::decode::{
+    DecodeError, Dropped, Event, FrameDecoder, FrameEvent, ResponseMatcher, STRAY_MAX,
+};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse, FRAME_MAX, FrameError};
 use jointbus_protocol::modbus::server::{self, NoResponse, RamTables};
 use jointbus_protocol::modbus::{
@@ -45,12 +47,12 @@ impl Slave {
     fn hear(&mut self, mut burst: &[u8]) -> Vec<Vec<u8>> {
         let (mut out, mut answers) = ([0; FRAME_MAX], Vec::new());
         let (tables, errors) = (&mut self.tables, &mut self.errors);
-        let mut serve = |event: Event<'_>| match event {
+        let mut serve = |event: FrameEvent<'_>| match event {
             Event::Frame(frame) => {
                 let answer = server::rtu(tables, UNIT, frame, &mut out);
                 answers.extend(answer.ok().map(<[u8]>::to_vec));
             }
-            Event::Dropped { error, .. } => errors.push(error),
+            Event::Dropped(Dropped { error, .. }) => errors.push(error),
         };
         while let Some(event) = self.decoder.feed(&rtu::RequestFraming, &mut burst, self.now) {
             serve(event);
@@ -200,21 +202,26 @@ fn three_hundred_bytes_of_0x55() {
     assert_eq!(search.feed(&expected, &mut &[0x55; 300][..]), None);
     let reply = frame(&[3, 2, 0, 0]);
     assert_eq!(search.feed(&expected, &mut &reply[..]), Some((0, &reply[..])));
-    assert_eq!(ascii::Decoder::new().feed(&mut &[0x55; 300][..]), None);
-    assert_eq!(tcp::Decoder::new().feed(&mut &[0x55; 300][..]), Err(tcp::FrameError::Protocol(0x5555)));
+    assert_eq!(ascii::Decoder::new().feed(&mut &[0x55; 300][..], START), None);
+    assert_eq!(
+        tcp::Decoder::new().feed(&mut &[0x55; 300][..], START),
+        Some(Event::Dropped(tcp::FrameError::Protocol(0x5555)))
+    );
 }
 
 #[test]
 fn ascii_without_end() {
     let mut decoder = ascii::Decoder::new();
     let mut endless = &[&b":"[..], &[b'0'; 5000]].concat()[..];
-    assert_eq!(decoder.feed(&mut endless), Some(ascii::Event::Dropped(ascii::FrameError::Endless)));
-    assert_eq!(decoder.feed(&mut endless), None);
+    assert_eq!(decoder.feed(&mut endless, START), Some(ascii::Event::Dropped(ascii::FrameError::Endless)));
+    assert_eq!(decoder.feed(&mut endless, START), None);
     assert!(!decoder.is_inside());
     let mut buffer = [0; ascii::FRAME_MAX];
     let request = Request::ReadCoils(AddressRange::new(0, 1));
     let mut good = ascii::encode_request(UNIT, &request, &mut buffer).unwrap();
-    let Some(ascii::Event::Frame(frame)) = decoder.feed(&mut good) else { panic!("the next frame is taken") };
+    let Some(ascii::Event::Frame(frame)) = decoder.feed(&mut good, START) else {
+        panic!("the next frame is taken")
+    };
     let mut out = [0; ascii::FRAME_MAX];
     assert_eq!(server::ascii(&mut Tables::new(), UNIT, &frame, &mut out), Ok(&b":07010100F7\r\n"[..]));
 }
@@ -226,12 +233,16 @@ fn mbap_lengths_of_255_and_0() {
         let mut decoder = tcp::Decoder::new();
         let header = [0, 1, 0, 0, high, low, 1];
         let mut stream = &[&header[..], &[3; 300]].concat()[..];
-        assert_eq!(decoder.feed(&mut stream), Err(tcp::FrameError::Length(length)));
+        let dropped = Some(Event::Dropped(tcp::FrameError::Length(length)));
+        assert_eq!(decoder.feed(&mut stream, START), dropped);
+        assert!(stream.is_empty());
         // and it stays closed
-        assert_eq!(decoder.feed(&mut stream), Err(tcp::FrameError::Length(length)));
+        assert_eq!(decoder.feed(&mut &[1, 2, 3][..], START), dropped);
     }
     let mut longest = &[&[0, 1, 0, 0, 0, 254, 1][..], &[3; 253]].concat()[..];
-    assert_eq!(tcp::Decoder::new().feed(&mut longest).unwrap().unwrap().pdu, [3; 253]);
+    let mut decoder = tcp::Decoder::new();
+    let Some(Event::Frame(frame)) = decoder.feed(&mut longest, START) else { panic!("a frame") };
+    assert_eq!(frame.pdu, [3; 253]);
 }
 
 #[test]

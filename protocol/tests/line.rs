@@ -6,8 +6,8 @@ use common::Random;
 use jointbus_protocol::checksum;
 use jointbus_protocol::decode::DecodeError;
 use jointbus_protocol::modbus::line::{Event, MultidropDecoder};
-use jointbus_protocol::modbus::rtu::{FRAME_MAX, encode_request, encode_response};
-use jointbus_protocol::modbus::server::{RamTables, rtu};
+use jointbus_protocol::modbus::rtu::{FRAME_MAX, Frame, encode_request, encode_response};
+use jointbus_protocol::modbus::server::{RamTables, rtu_frame};
 use jointbus_protocol::modbus::{AddressRange, BROADCAST, ExceptionCode, FunctionCode, Request, Response};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -52,10 +52,15 @@ impl Rig {
 
 fn out(heard: Event<'_>) -> Out {
     match heard {
-        Event::Request(frame) => Out::Request(frame.into()),
-        Event::Foreign(frame) => Out::Passed(frame.into()),
-        Event::Dropped { error, .. } => Out::Dropped(error),
+        Event::Frame(frame) => Out::Request(whole(frame)),
+        Event::Foreign(frame) => Out::Passed(whole(frame)),
+        Event::Dropped(error) => Out::Dropped(error),
     }
+}
+
+/// The bytes of a frame, its checksum included.
+fn whole(frame: Frame<'_>) -> Vec<u8> {
+    sealed([&[frame.unit], frame.pdu].concat())
 }
 
 /// Hears `frames` one after the other without any silence, in pieces of every size.
@@ -269,7 +274,7 @@ fn an_unknown_function_code_ends_by_silence_for_me_and_for_others() {
     );
 }
 
-/// RequestFraming of every kind that has a length of its own.
+/// Requests of every kind that has a length of its own.
 fn any_request<'a>(random: &mut Random, data: &'a [u8]) -> Request<'a> {
     let address = random.next() as u16;
     let quantity = 1 + random.below(60) as u16;
@@ -443,8 +448,8 @@ fn a_server_answers_from_the_line() {
     tables.holding_registers = [1, 2, 3, 4];
     let mut line = MultidropDecoder::new(MINE, SILENCE);
     let (asked, mut answer) = (request(4, READ(2)), [0; FRAME_MAX]);
-    let Some(Event::Request(frame)) = line.feed(&mut &asked[..], Instant::from_micros(0)) else {
+    let Some(Event::Frame(frame)) = line.feed(&mut &asked[..], Instant::from_micros(0)) else {
         panic!("a request")
     };
-    assert_eq!(rtu(&mut tables, 4, frame, &mut answer), Ok(&sealed(vec![4, 3, 4, 0, 1, 0, 2])[..]));
+    assert_eq!(rtu_frame(&mut tables, 4, &frame, &mut answer), Ok(&sealed(vec![4, 3, 4, 0, 1, 0, 2])[..]));
 }

@@ -10,7 +10,7 @@ mod theirs;
 use std::error::Error;
 use std::process::ExitCode;
 
-use jointbus_protocol::decode::{Event, FrameDecoder, STRAY_MAX};
+use jointbus_protocol::decode::{Event, FrameDecoder, FrameEvent, STRAY_MAX};
 use jointbus_protocol::modbus::BROADCAST;
 use jointbus_protocol::modbus::rtu::{FRAME_MAX, RequestFraming};
 use jointbus_protocol::modbus::server::{self, RamTables};
@@ -89,7 +89,7 @@ fn serve(tables: &mut Tables, mut bytes: &[u8]) -> Vec<u8> {
     let mut decoder = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(silence);
     let (start, end) = (Instant::from_micros(0), Instant::from_micros(0).saturating_add(silence));
     let mut answers = Vec::new();
-    let mut take = |event: Event<'_>| {
+    let mut take = |event: FrameEvent<'_>| {
         let mut out = [0; FRAME_MAX];
         if let Event::Frame(frame) = event {
             answers.extend_from_slice(server::rtu(tables, UNIT, frame, &mut out).unwrap_or(&[]));

@@ -3,6 +3,7 @@
 
 use jointbus_protocol::modbus::Request;
 use jointbus_protocol::modbus::ascii::{CONTENT_MAX, Decoder, Event, FRAME_MAX, Frame, encode_request};
+use jointbus_protocol::time::Instant;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -42,7 +43,7 @@ fn ends(decoder: &mut Decoder, pdu: &[u8]) {
 /// Frames, and `None` for each that was dropped.
 fn feed(decoder: &mut Decoder, mut characters: &[u8]) -> Vec<Option<(u8, Vec<u8>)>> {
     let mut events = Vec::new();
-    while let Some(event) = decoder.feed(&mut characters) {
+    while let Some(event) = decoder.feed(&mut characters, Instant::default()) {
         events.push(match event {
             Event::Frame(frame) => Some((frame.unit, frame.pdu.to_vec())),
             Event::Dropped(_) => None,

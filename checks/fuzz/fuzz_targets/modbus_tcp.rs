@@ -2,8 +2,11 @@
 //! the next connection.
 #![no_main]
 
-use jointbus_protocol::modbus::tcp::{Decoder, FRAME_MAX, Frame, HEADER_LENGTH, Header, encode_request};
+use jointbus_protocol::modbus::tcp::{
+    Decoder, Event, FRAME_MAX, Frame, HEADER_LENGTH, Header, encode_request,
+};
 use jointbus_protocol::modbus::{AddressRange, PDU_MAX, Request};
+use jointbus_protocol::time::Instant;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -37,17 +40,18 @@ fuzz_target!(|data: &[u8]| {
 /// The frames, and whether the connection is to be closed.
 fn feed(decoder: &mut Decoder, mut bytes: &[u8]) -> (Vec<Vec<u8>>, bool) {
     let mut frames = Vec::new();
-    loop {
-        match decoder.feed(&mut bytes) {
-            Ok(Some(Frame { transaction, unit, pdu })) => {
+    while let Some(event) = decoder.feed(&mut bytes, Instant::default()) {
+        match event {
+            Event::Frame(Frame { transaction, unit, pdu }) => {
                 let header = Header::of(transaction, unit, pdu.len()).unwrap();
                 frames.push([&header.to_bytes()[..], pdu].concat());
             }
-            Ok(None) => {
+            Event::Dropped(_) => {
                 assert!(bytes.is_empty());
-                return (frames, false);
+                return (frames, true);
             }
-            Err(_) => return (frames, true),
         }
     }
+    assert!(bytes.is_empty());
+    (frames, false)
 }

@@ -5,7 +5,7 @@
 //! or drops change little of what follows.
 
 use jointbus_protocol::checksum;
-use jointbus_protocol::decode::{Event, FrameDecoder, Framing};
+use jointbus_protocol::decode::{Dropped, Event, FrameDecoder, FrameEvent, Framing};
 use jointbus_protocol::modbus::rtu::{self, ExpectedResponse};
 use jointbus_protocol::modbus::{FunctionCode, Request};
 use jointbus_protocol::time::{Duration, Instant};
@@ -97,11 +97,11 @@ pub enum Outcome {
     Dropped(Vec<u8>),
 }
 
-impl From<Event<'_>> for Outcome {
-    fn from(event: Event<'_>) -> Self {
+impl From<FrameEvent<'_>> for Outcome {
+    fn from(event: FrameEvent<'_>) -> Self {
         match event {
             Event::Frame(frame) => Self::Frame(frame.to_vec()),
-            Event::Dropped { burst, .. } => Self::Dropped(burst.to_vec()),
+            Event::Dropped(Dropped { burst, .. }) => Self::Dropped(burst.to_vec()),
         }
     }
 }

@@ -16,7 +16,8 @@ use crate::iwdg::Watchdog;
 use crate::rcc::{Rcc, ResetCause};
 use crate::usart::Usart;
 use jointbus_protocol::can::Frame;
-use jointbus_protocol::slcan::{LineReader, Outcome};
+use jointbus_protocol::slcan::{self, LineReader};
+use jointbus_protocol::time::Instant;
 
 /// Bytes of the longest line of the fault console.
 const CONSOLE_LINE: usize = 64;
@@ -299,10 +300,10 @@ impl Board {
     pub fn take_console_bytes(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let byte = if byte == b'\n' { b'\r' } else { byte };
-            let line = match self.console.push(byte) {
-                None | Some(Outcome::Line([])) => continue,
-                Some(Outcome::Line(line)) => str::from_utf8(line).ok().and_then(Line::parse),
-                Some(Outcome::Refused | Outcome::TooLong) => None,
+            let line = match self.console.feed(&mut &[byte][..], Instant::default()) {
+                None | Some(slcan::Event::Frame([])) => continue,
+                Some(slcan::Event::Frame(line)) => str::from_utf8(line).ok().and_then(Line::parse),
+                Some(slcan::Event::Dropped(_)) => None,
             };
             let answer = match line {
                 Some(Line::Control(control)) => {

@@ -112,7 +112,7 @@ impl SerialStation {
         let reply = match (byte, &mut self.ascii) {
             (Some(byte), None) => self.line().receive(&[byte], now.instant()),
             (Some(byte), Some(decoder)) => {
-                let frame = match decoder.feed(&mut &[byte][..]) {
+                let frame = match decoder.feed(&mut &[byte][..], now.instant()) {
                     Some(ascii::Event::Frame(frame)) => framing::sealed(&frame),
                     _ => return Vec::new(),
                 };

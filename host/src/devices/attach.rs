@@ -2,7 +2,7 @@
 
 use super::{CanBus, SerialLine};
 use crate::clock::Clock;
-use jointbus_protocol::slcan::{Command, ENCODED_MAX, LINE_MAX, LineReader, Outcome};
+use jointbus_protocol::slcan::{Command, ENCODED_MAX, Event, LINE_MAX, LineReader};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,10 +41,10 @@ pub fn serial<L: SerialLine + 'static>(stream: TcpStream, line: L, clock: Clock)
 /// Where the operating system refuses a thread or the connection is gone.
 pub fn can<B: CanBus + 'static>(stream: TcpStream, bus: B, clock: Clock) -> io::Result<Attached<B>> {
     let mut reader = LineReader::<LINE_MAX>::new();
-    Attached::start(stream, bus, move |bus, bytes| {
+    Attached::start(stream, bus, move |bus, mut bytes| {
         let mut out = Vec::new();
-        for byte in bytes {
-            let Some(Outcome::Line(line)) = reader.push(*byte) else { continue };
+        while let Some(event) = reader.feed(&mut bytes, clock.now()) {
+            let Event::Frame(line) = event else { continue };
             let Ok(Command::Frame(frame)) = Command::decode(line) else { continue };
             for reply in bus.receive(&frame, clock.now()) {
                 out.extend_from_slice(Command::Frame(reply).encode(&mut [0; ENCODED_MAX]));

@@ -1,5 +1,5 @@
 use super::{Motion, Sensor, SerialLine, Wiring};
-use jointbus_protocol::decode::{Event, FrameDecoder, STRAY_MAX};
+use jointbus_protocol::decode::{Event, FrameDecoder, FrameEvent, STRAY_MAX};
 use jointbus_protocol::nst::serial::{REQUEST_MAX, RESPONSE_MAX, RequestFraming};
 use jointbus_protocol::time::{Duration, Instant};
 
@@ -42,7 +42,7 @@ impl NstSerial {
 }
 
 /// Adds what the sensors answer to a frame.
-fn answer(sensors: &mut [Sensor], event: Event<'_>, now: Instant, out: &mut Vec<u8>) {
+fn answer(sensors: &mut [Sensor], event: FrameEvent<'_>, now: Instant, out: &mut Vec<u8>) {
     let Event::Frame(frame) = event else { return };
     let body = frame.get(1..frame.len() - 2).unwrap_or_default();
     for sensor in sensors {

@@ -9,14 +9,14 @@ use super::queue::QueueFull;
 use super::request::{Expected, Request};
 use super::slab::Content;
 use crate::board::{Board, LocalUnits, Port, Route, Target};
-use jointbus_protocol::decode::{DecodeError, Event, FrameLength};
+use jointbus_protocol::decode::{DecodeError, Dropped, Event, FrameEvent, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
 use jointbus_protocol::time::Instant;
 use jointbus_protocol::{checksum, nst};
 
 impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
     /// Takes what came out of the host's bytes.
-    pub(super) fn take(&mut self, event: &Event<'_>, now: Instant) {
+    pub(super) fn take(&mut self, event: &FrameEvent<'_>, now: Instant) {
         let [counters, ..] = &mut self.shared.counters;
         match *event {
             Event::Frame(frame) => {
@@ -24,7 +24,7 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
                 self.shared.last_request = Some(now);
                 self.request(frame, now);
             }
-            Event::Dropped { error, burst } => {
+            Event::Dropped(Dropped { error, burst }) => {
                 let unit = burst.first().copied().unwrap_or(0);
                 let known = matches!(unit, modbus::BROADCAST | nst::BROADCAST)
                     || self.shared.router.row(unit).is_some();

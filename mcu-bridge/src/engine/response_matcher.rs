@@ -6,6 +6,7 @@ use super::request::Expected;
 use jointbus_protocol::checksum;
 use jointbus_protocol::decode::{Match, ResponseMatcher};
 use jointbus_protocol::modbus::ascii;
+use jointbus_protocol::time::Instant;
 
 /// Bytes that the search for a reply looks back on.
 const WINDOW: usize = FRAME_MAX + 16;
@@ -85,7 +86,7 @@ impl Receiver {
                     None => Received::Reply(content(frame)),
                 })
             }
-            Self::Ascii(decoder) => Some(match decoder.feed(bytes)? {
+            Self::Ascii(decoder) => Some(match decoder.feed(bytes, Instant::default())? {
                 ascii::Event::Frame(ascii::Frame { unit, pdu }) => {
                     let fits = |expected: &Expected| expected.accepts_pdu(unit, pdu);
                     match wanted.in_flight.is_some_and(fits) {

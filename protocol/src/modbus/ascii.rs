@@ -6,7 +6,9 @@
 
 use super::{PDU_MAX, Request, Response};
 use crate::checksum;
+use crate::decode;
 use crate::error::error_text;
+use crate::time::Instant;
 use crate::wire::{NoSpace, Writer};
 
 /// Longest frame in characters.
@@ -185,15 +187,8 @@ pub fn character_at(content: &[u8], index: usize) -> Option<u8> {
     Some(character(if pairs % 2 == 0 { byte >> 4 } else { byte & 0x0F }))
 }
 
-/// What came out of a stream of characters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Event<'a> {
-    /// A whole, valid frame.
-    Frame(Frame<'a>),
-    /// A frame was begun and dropped.
-    Dropped(FrameError),
-}
+/// What comes out of a [`Decoder`].
+pub type Event<'a> = decode::Event<Frame<'a>, FrameError>;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -242,8 +237,8 @@ impl Decoder {
         self.state != State::Idle
     }
 
-    /// Takes characters until something comes out or none are left; call again while it returns an event.
-    pub fn feed(&mut self, characters: &mut &[u8]) -> Option<Event<'_>> {
+    /// Takes characters until there is an event or none are left; call again while there is one. The time is of no account.
+    pub fn feed(&mut self, characters: &mut &[u8], _now: Instant) -> Option<Event<'_>> {
         while let Some((character, rest)) = characters.split_first() {
             *characters = rest;
             match self.take(*character) {
@@ -319,7 +314,7 @@ mod tests {
         for piece in [1, 2, 3, 7, 1000] {
             let (mut decoder, mut found) = (Decoder::new(), Vec::new());
             for mut chunk in characters.chunks(piece) {
-                while let Some(event) = decoder.feed(&mut chunk) {
+                while let Some(event) = decoder.feed(&mut chunk, Instant::default()) {
                     found.push(match event {
                         Event::Frame(frame) => Ok((frame.unit, frame.pdu.to_vec())),
                         Event::Dropped(error) => Err(error),

@@ -5,29 +5,17 @@ use core::ops::RangeInclusive;
 use super::rtu::{self, ExpectedResponse, FRAME_MAX, Frame, request_length};
 use super::{BROADCAST, FunctionCode, Request, packed_len};
 use crate::checksum;
-use crate::decode::{self, DecodeError, FrameDecoder, FrameLength, Framing};
+use crate::decode::{
+    self, DecodeError, Dropped, FrameDecoder, FrameEvent, FrameLength, Framing, MultidropEvent,
+};
 use crate::time::{Duration, Instant};
 
-/// What was heard on the line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Event<'a> {
-    /// A request to one of our units, or to all: a whole, valid frame.
-    Request(&'a [u8]),
-    /// A request to another server, or its response: to be counted at most.
-    Foreign(&'a [u8]),
-    /// Something was wrong; silence has ended it.
-    Dropped {
-        /// What was wrong first.
-        error: DecodeError,
-        /// What came until silence, as far as it was kept.
-        burst: &'a [u8],
-    },
-}
+/// What comes out of a [`MultidropDecoder`].
+pub type Event<'a> = MultidropEvent<Frame<'a>, DecodeError>;
 
 /// RTU frames out of the bytes of a line with several servers, of which some units are ours.
 ///
-/// RequestFraming to other servers and their responses are told apart and passed over, each as soon as it is complete, so
+/// Requests to other servers and their responses are told apart and passed over, each as soon as it is complete, so
 /// that nothing in them is ever taken for a request to us; a server that does not answer is not waited for. After
 /// anything wrong nothing is taken until silence. Stray bytes in front of a frame are not forgiven, as
 /// [`FrameDecoder`] does on a line of one's own: the data of a response starts too early for that.
@@ -104,29 +92,33 @@ impl Parties {
         unit == BROADCAST || (self.first <= unit && unit <= self.last)
     }
 
-    fn judge<'a>(&mut self, event: decode::Event<'a>) -> Event<'a> {
-        let frame = match event {
+    fn judge<'a>(&mut self, event: FrameEvent<'a>) -> Event<'a> {
+        let bytes = match event {
             decode::Event::Frame(frame) => frame,
             // silence ended the shorter one of two frames that it could have been
-            decode::Event::Dropped { error: DecodeError::Incomplete, burst } if self.is_whole(burst) => burst,
-            decode::Event::Dropped { error, burst } => {
+            decode::Event::Dropped(Dropped { error: DecodeError::Incomplete, burst })
+                if self.is_whole(burst) =>
+            {
+                burst
+            }
+            decode::Event::Dropped(Dropped { error, .. }) => {
                 self.due = Due::Unknown;
-                return Event::Dropped { error, burst };
+                return Event::Dropped(error);
             }
         };
-        let Ok(Frame { unit, pdu }) = Frame::decode(frame) else {
-            return Event::Dropped { error: DecodeError::Checksum, burst: frame };
-        };
+        // the checksum was looked at when the frame was found
+        let [unit, pdu @ .., _, _] = bytes else { return Event::Dropped(DecodeError::Incomplete) };
+        let (unit, frame) = (*unit, Frame { unit: *unit, pdu });
         let due = core::mem::replace(&mut self.due, Due::Nothing);
         if self.are_meant(unit) {
-            return Event::Request(frame);
+            return Event::Frame(frame);
         }
         let is_response = match due {
             Due::Nothing => false,
-            Due::To(expected) => expected.accepts(frame),
+            Due::To(expected) => expected.unit() == unit && expected.accepts_pdu(pdu),
             Due::Unknown => {
-                let length = request_length(frame);
-                length != FrameLength::Exactly(frame.len()) && length != FrameLength::UntilSilence
+                let length = request_length(bytes);
+                length != FrameLength::Exactly(bytes.len()) && length != FrameLength::UntilSilence
             }
         };
         if !is_response {

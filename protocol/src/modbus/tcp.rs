@@ -5,8 +5,10 @@
 //! that the connection is to be closed, and that nothing more of it is to be believed.
 
 use super::{PDU_MAX, Request, Response};
+use crate::decode;
 use crate::error::error_text;
-use crate::wire::{NoSpace, Reader, Truncated, Writer};
+use crate::time::Instant;
+use crate::wire::{NoSpace, Writer};
 
 /// Length of the header.
 pub const HEADER_LENGTH: usize = 7;
@@ -137,6 +139,9 @@ fn encode(
     Ok(writer.finish())
 }
 
+/// What comes out of a [`Decoder`].
+pub type Event<'a> = decode::Event<Frame<'a>, FrameError>;
+
 /// Frames out of a connection, for both ends: requests and responses look alike.
 #[derive(Debug)]
 pub struct Decoder {
@@ -166,33 +171,38 @@ impl Decoder {
         self.fault = None;
     }
 
-    /// Takes bytes until a frame is whole or none are left; call again while it returns one. One segment may hold
-    /// several frames, and one frame come in many segments.
+    /// Takes bytes until there is an event or none are left; call again while there is one. One segment may hold
+    /// several frames, and one frame come in many segments. The time is of no account.
     ///
-    /// # Errors
-    /// [`FrameError`]: close the connection. The same error is returned, and nothing taken, until
-    /// [`clear`](Self::clear).
-    pub fn feed(&mut self, bytes: &mut &[u8]) -> Result<Option<Frame<'_>>, FrameError> {
-        if let Some(fault) = self.fault {
-            return Err(fault);
+    /// [`Event::Dropped`](decode::Event::Dropped) tells to close the connection: it takes all bytes, and so does everything
+    /// that is fed until [`clear`](Self::clear), with the same reason.
+    pub fn feed(&mut self, bytes: &mut &[u8], _now: Instant) -> Option<Event<'_>> {
+        if bytes.is_empty() {
+            return None;
         }
         if self.delivered {
             self.clear();
         }
-        self.fill(HEADER_LENGTH, bytes);
-        let Some(header) = self.buffer.get(..self.used).and_then(|kept| kept.first_chunk()) else {
-            return Ok(None);
+        if self.fault.is_none() {
+            self.fill(HEADER_LENGTH, bytes);
+        }
+        let header = *self.buffer.get(..self.used).and_then(|kept| kept.first_chunk())?;
+        let header = match self.fault.map_or_else(|| Header::from_bytes(header), Err) {
+            Ok(header) => header,
+            Err(fault) => {
+                self.fault = Some(fault);
+                *bytes = &[];
+                return Some(Event::Dropped(fault));
+            }
         };
-        let header = Header::from_bytes(*header).inspect_err(|fault| self.fault = Some(*fault))?;
         let length = HEADER_LENGTH.saturating_add(header.pdu_length());
         self.fill(length, bytes);
         if self.used < length {
-            return Ok(None);
+            return None;
         }
         self.delivered = true;
-        let mut reader = Reader::new(self.buffer.get(HEADER_LENGTH..).unwrap_or(&[]));
-        let pdu = reader.slice(header.pdu_length()).map_err(|Truncated| FrameError::Length(header.length))?;
-        Ok(Some(Frame { transaction: header.transaction, unit: header.unit, pdu }))
+        let pdu = self.buffer.get(HEADER_LENGTH..length)?;
+        Some(Event::Frame(Frame { transaction: header.transaction, unit: header.unit, pdu }))
     }
 
     /// Takes bytes until there are `wanted`.
@@ -228,13 +238,15 @@ mod tests {
         for piece in [1, 2, 3, 5, 6, 7, 8, 13, 100_000] {
             let (mut decoder, mut found, mut fault) = (Decoder::new(), Vec::new(), None);
             for mut chunk in stream.chunks(piece) {
-                loop {
-                    match decoder.feed(&mut chunk) {
-                        Ok(Some(frame)) => found.push((frame.transaction, frame.unit, frame.pdu.to_vec())),
-                        Ok(None) => break assert!(chunk.is_empty()),
-                        Err(error) => break fault = Some(error),
+                while let Some(event) = decoder.feed(&mut chunk, Instant::default()) {
+                    match event {
+                        Event::Frame(frame) => {
+                            found.push((frame.transaction, frame.unit, frame.pdu.to_vec()))
+                        }
+                        Event::Dropped(error) => fault = Some(error),
                     }
                 }
+                assert!(chunk.is_empty());
             }
             results.push((found, fault));
         }
@@ -303,9 +315,14 @@ mod tests {
     fn an_error_stays_until_the_next_connection() {
         let mut decoder = Decoder::new();
         let good = [0, 1, 0, 0, 0, 2, 9, 7];
-        assert_eq!(decoder.feed(&mut &[0, 1, 0, 9, 0, 2, 9, 7][..]), Err(FrameError::Protocol(9)));
-        assert_eq!(decoder.feed(&mut &good[..]), Err(FrameError::Protocol(9)));
+        let now = Instant::default();
+        let dropped = Some(Event::Dropped(FrameError::Protocol(9)));
+        assert_eq!(decoder.feed(&mut &[0, 1, 0, 9, 0, 2, 9, 7][..], now), dropped);
+        let mut more = &good[..];
+        assert_eq!(decoder.feed(&mut more, now), dropped);
+        assert!(more.is_empty(), "a loop over the events ends");
         decoder.clear();
-        assert_eq!(decoder.feed(&mut &good[..]), Ok(Some(Frame { transaction: 1, unit: 9, pdu: &[7] })));
+        let frame = Frame { transaction: 1, unit: 9, pdu: &[7] };
+        assert_eq!(decoder.feed(&mut &good[..], now), Some(Event::Frame(frame)));
     }
 }

@@ -3,7 +3,7 @@
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::slcan::{self, Command, ENCODED_MAX, LINE_MAX, LineReader};
 
-use crate::opaque::{any, byte, bytes, can_frame, flag, long, sink, size, word};
+use crate::opaque::{any, byte, bytes, can_frame, flag, long, moment, sink, word};
 
 pub(crate) fn all() {
     frames();
@@ -44,8 +44,10 @@ fn commands() {
 #[inline(never)]
 fn line_reader<const N: usize>() {
     let mut reader = LineReader::<N>::new();
-    for _ in 0..size() {
-        sink(reader.push(byte()));
+    while flag() {
+        let mut some = bytes();
+        sink(reader.feed(&mut some, moment()));
+        sink(some);
     }
     sink(LineReader::<N>::default());
 }

@@ -36,7 +36,7 @@ fn ascii() {
     let mut decoder = if flag() { ascii::Decoder::new() } else { ascii::Decoder::default() };
     while flag() {
         let mut some = bytes();
-        sink(decoder.feed(&mut some));
+        sink(decoder.feed(&mut some, moment()));
         sink(some);
         sink(decoder.is_inside());
         if flag() {
@@ -58,7 +58,7 @@ fn tcp() {
     let mut decoder = if flag() { tcp::Decoder::new() } else { tcp::Decoder::default() };
     while flag() {
         let mut some = bytes();
-        sink(decoder.feed(&mut some));
+        sink(decoder.feed(&mut some, moment()));
         sink(some);
         if flag() {
             decoder.clear();

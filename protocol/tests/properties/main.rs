@@ -1,19 +1,16 @@
 //! Properties that hold for any input: round trips in every framing, no panic, bounded output, a good request after
 //! any garbage is answered, and a response always fits its request.
 
+mod values;
+
 use jointbus_protocol::can::{Frame as CanFrame, Id};
 use jointbus_protocol::checksum;
-use jointbus_protocol::decode::{Event, FrameDecoder, Match, ResponseMatcher, STRAY_MAX};
-use jointbus_protocol::modbus::identification::{
-    ConformityLevel, Identification, ObjectId, Objects, ReadDeviceIdCode,
-};
+use jointbus_protocol::decode::{Event, FrameDecoder, FrameEvent, Match, ResponseMatcher, STRAY_MAX};
+use jointbus_protocol::modbus::identification::Objects;
 use jointbus_protocol::modbus::line::{self, MultidropDecoder};
 use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX};
 use jointbus_protocol::modbus::server::{self, RamTables};
-use jointbus_protocol::modbus::{
-    AddressRange, DiagnosticSubfunction, ExceptionCode, FunctionCode, PDU_MAX, Request, Response, ascii, rtu,
-    tcp,
-};
+use jointbus_protocol::modbus::{AddressRange, PDU_MAX, Request, Response, ascii, rtu, tcp};
 use jointbus_protocol::ndam9010::{self, Layout, RamModule, Station};
 use jointbus_protocol::nst::{self, Daq, RamHardware, SignEncoding};
 use jointbus_protocol::nxi6201::{self, Card, Settings};
@@ -22,122 +19,12 @@ use jointbus_protocol::time::{Duration, Instant};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::FileFailurePersistence;
+use values::{any_objects, any_request, any_response, nst_request, response, right_request};
 
 const SILENCE: Duration = Duration::from_millis(5);
 const START: Instant = Instant::from_micros(0);
 
 type Tables = RamTables<32, 32, 300, 300>;
-
-/// A request with its data beside it.
-#[derive(Debug, Clone)]
-struct AnyRequest {
-    kind: u8,
-    words: [u16; 4],
-    data: Vec<u8>,
-}
-
-impl AnyRequest {
-    fn value(&self) -> Request<'_> {
-        let [a, b, c, d] = self.words;
-        let range = AddressRange::new(a, b);
-        let data = &self.data[..];
-        match self.kind {
-            0 => Request::ReadCoils(range),
-            1 => Request::ReadDiscreteInputs(range),
-            2 => Request::ReadHoldingRegisters(range),
-            3 => Request::ReadInputRegisters(range),
-            4 => Request::WriteSingleCoil { address: a, value: b },
-            5 => Request::WriteSingleRegister { address: a, value: b },
-            6 => Request::ReadExceptionStatus,
-            7 => Request::Diagnostics { subfunction: DiagnosticSubfunction::from_code(a), data },
-            8 => Request::GetCommEventCounter,
-            9 => Request::GetCommEventLog,
-            10 => Request::WriteMultipleCoils { range, data },
-            11 => Request::WriteMultipleRegisters { range, data },
-            12 => Request::ReportServerId,
-            13 => Request::MaskWriteRegister { address: a, and: b, or: c },
-            14 => Request::ReadWriteMultipleRegisters { read: range, write: AddressRange::new(c, d), data },
-            15 => Request::ReadDeviceIdentification {
-                category: ReadDeviceIdCode::from_code(a as u8),
-                object: ObjectId::from_code(b as u8),
-            },
-            _ => Request::Other { function: FunctionCode::Unknown(0x41 + (a % 8) as u8), data },
-        }
-    }
-}
-
-/// Any request that fits a frame; quantities and addresses are often small, so that many are right.
-fn any_request() -> impl Strategy<Value = AnyRequest> {
-    let word = || prop_oneof![0..20u16, any::<u16>()];
-    (0..17u8, [word(), word(), word(), word()], vec(any::<u8>(), 0..=240))
-        .prop_map(|(kind, words, data)| AnyRequest { kind, words, data })
-}
-
-/// A request whose byte count fits its quantity.
-fn right_request() -> impl Strategy<Value = AnyRequest> {
-    (any_request(), 1..=110u16, 1..=100u16, 0..250u16).prop_map(|(mut request, quantity, write, start)| {
-        request.words = [start, quantity, start, write];
-        let length = match request.kind {
-            10 => usize::from(quantity).div_ceil(8),
-            11 => 2 * usize::from(quantity),
-            14 => 2 * usize::from(write),
-            _ => request.data.len(),
-        };
-        request.data.resize(length, 0xA5);
-        if request.kind == 4 {
-            request.words[1] = 0xFF00;
-        }
-        request
-    })
-}
-
-/// A response with its data beside it.
-fn any_response() -> impl Strategy<Value = (u8, [u16; 3], Vec<u8>)> {
-    (0..12u8, any::<[u16; 3]>(), vec(any::<u8>(), 0..=240))
-}
-
-fn response<'a>((kind, [a, b, c], data): &'a (u8, [u16; 3], Vec<u8>), objects: &'a [u8]) -> Response<'a> {
-    let (a, b, c) = (*a, *b, *c);
-    match kind {
-        0..=3 => Response::Read { function: FunctionCode::from_code(kind + 1), data },
-        4 => Response::WriteSingle { function: FunctionCode::WriteSingleCoil, address: a, value: b },
-        5 => Response::ExceptionStatus(a as u8),
-        6 => Response::CommEventLog { status: a, events: b, messages: c, log: data },
-        7 => Response::WriteMultiple {
-            function: FunctionCode::WriteMultipleCoils,
-            range: AddressRange::new(a, b),
-        },
-        8 => Response::ServerId(data),
-        9 => Response::MaskWrite { address: a, and: b, or: c },
-        10 => Response::DeviceIdentification(Identification {
-            category: ReadDeviceIdCode::from_code(a as u8),
-            conformity: ConformityLevel::from_code(b as u8),
-            next: (c > 99).then(|| ObjectId::from_code(c as u8)),
-            objects: Objects::new(objects).unwrap(),
-        }),
-        _ => {
-            Response::exception(FunctionCode::from_code((a & 0x7F) as u8), ExceptionCode::from_code(b as u8))
-        }
-    }
-}
-
-/// Objects as on the wire, of at most 200 bytes.
-fn any_objects() -> impl Strategy<Value = Vec<u8>> {
-    vec((any::<u8>(), vec(any::<u8>(), 0..18)), 0..10).prop_map(|objects| {
-        let wire = |(id, value): (u8, Vec<u8>)| [&[id, value.len() as u8][..], &value].concat();
-        objects.into_iter().flat_map(wire).collect()
-    })
-}
-
-fn nst_request(kind: u8, register: u16, length: u8, data: &[u8]) -> nst::Request<'_> {
-    let functions = [0x03, 0x12, 0x13, 0x15, 0x18, 0x19];
-    match functions.get(usize::from(kind)) {
-        Some(code) => {
-            nst::Request::Command { function: nst::FunctionCode::from_code(*code), register, length }
-        }
-        None => nst::Request::Write { register, data },
-    }
-}
 
 fn sealed(content: &[u8]) -> Vec<u8> {
     [content, &checksum::crc16(content).to_le_bytes()].concat()
@@ -177,12 +64,12 @@ proptest! {
 
         let mut frame = ascii::encode_request(unit, &request, &mut buffer).unwrap();
         let mut decoder = ascii::Decoder::new();
-        let Some(ascii::Event::Frame(decoded)) = decoder.feed(&mut frame) else { panic!("a frame") };
+        let Some(Event::Frame(decoded)) = decoder.feed(&mut frame, START) else { panic!("a frame") };
         prop_assert_eq!((decoded.unit, Request::decode(decoded.pdu)), (unit, Ok(request)));
 
         let mut frame = tcp::encode_request(transaction, unit, &request, &mut buffer).unwrap();
         let mut decoder = tcp::Decoder::new();
-        let decoded = decoder.feed(&mut frame).unwrap().unwrap();
+        let Some(Event::Frame(decoded)) = decoder.feed(&mut frame, START) else { panic!("a frame") };
         prop_assert_eq!((decoded.transaction, decoded.unit), (transaction, unit));
         prop_assert_eq!(Request::decode(decoded.pdu), Ok(request));
     }
@@ -203,7 +90,7 @@ proptest! {
 
         let mut frame = tcp::encode_response(1, unit, &response, &mut buffer).unwrap();
         let mut decoder = tcp::Decoder::new();
-        let decoded = decoder.feed(&mut frame).unwrap().unwrap();
+        let Some(Event::Frame(decoded)) = decoder.feed(&mut frame, START) else { panic!("a frame") };
         prop_assert_eq!((decoded.unit, Response::decode(decoded.pdu)), (unit, Ok(response)));
     }
 
@@ -326,13 +213,14 @@ proptest! {
             rest = chunk;
             while line.feed(&mut rest, START).is_some() {}
             rest = chunk;
-            while characters.feed(&mut rest).is_some() {}
+            while characters.feed(&mut rest, START).is_some() {}
             rest = chunk;
-            while let Ok(Some(_)) = connection.feed(&mut rest) {}
+            while connection.feed(&mut rest, START).is_some() {}
             rest = chunk;
             while search.feed(&expected, &mut rest).is_some() {}
-            for byte in chunk {
-                if let Some(slcan::Outcome::Line(line)) = lines.push(*byte) {
+            rest = chunk;
+            while let Some(event) = lines.feed(&mut rest, START) {
+                if let Event::Frame(line) = event {
                     let _ = slcan::Command::decode(line);
                 }
             }
@@ -391,8 +279,8 @@ proptest! {
         let mut rest = &frame[..];
         let event = burst.feed(&rtu::RequestFraming, &mut rest, quiet).is_some();
         if regular {
-            let event = if event { Some(Event::Frame(&frame)) } else { burst.poll(&rtu::RequestFraming, done) };
-            prop_assert_eq!(event, Some(Event::Frame(&frame)));
+            let event = if event { Some(FrameEvent::Frame(&frame)) } else { burst.poll(&rtu::RequestFraming, done) };
+            prop_assert_eq!(event, Some(FrameEvent::Frame(&frame)));
         }
 
         let mut line = MultidropDecoder::new(4..=5, SILENCE);
@@ -402,17 +290,18 @@ proptest! {
         let mut rest = &frame[..];
         let heard = line.feed(&mut rest, quiet).is_some();
         if regular {
-            let heard = if heard { Some(line::Event::Request(&frame)) } else { line.poll(done) };
-            prop_assert_eq!(heard, Some(line::Event::Request(&frame)));
+            let expected = Some(line::Event::Frame(rtu::Frame::decode(&frame).unwrap()));
+            let heard = if heard { expected } else { line.poll(done) };
+            prop_assert_eq!(heard, expected);
         }
 
         let mut characters = ascii::Decoder::new();
         let mut rest = &garbage[..];
-        while characters.feed(&mut rest).is_some() {}
+        while characters.feed(&mut rest, START).is_some() {}
         let mut rest = ascii::encode_request(unit, &request, &mut buffer).unwrap();
         let mut taken = false;
-        while let Some(event) = characters.feed(&mut rest) {
-            taken |= matches!(event, ascii::Event::Frame(frame) if Request::decode(frame.pdu) == Ok(request));
+        while let Some(event) = characters.feed(&mut rest, START) {
+            taken |= matches!(event, Event::Frame(frame) if Request::decode(frame.pdu) == Ok(request));
         }
         prop_assert!(taken);
     }
@@ -440,16 +329,16 @@ proptest! {
 
         let (mut decoder, mut connection) = (ascii::Decoder::new(), tcp::Decoder::new());
         let mut frame = ascii::encode_request(5, &request, &mut buffer).unwrap();
-        let Some(ascii::Event::Frame(frame)) = decoder.feed(&mut frame) else { panic!("a frame") };
+        let Some(Event::Frame(frame)) = decoder.feed(&mut frame, START) else { panic!("a frame") };
         let answer = server::ascii(&mut tables, 5, &frame, &mut out).unwrap();
         let mut content = [0; ascii::CONTENT_MAX + 1];
         prop_assert!(expected.accepts_pdu(ascii::Frame::decode(answer, &mut content).unwrap().pdu));
 
         let mut frame = tcp::encode_request(transaction, 5, &request, &mut buffer).unwrap();
-        let frame = connection.feed(&mut frame).unwrap().unwrap();
+        let Some(Event::Frame(frame)) = connection.feed(&mut frame, START) else { panic!("a frame") };
         let mut answer = server::tcp(&mut tables, &frame, &mut out).unwrap();
         let mut back = tcp::Decoder::new();
-        let answer = back.feed(&mut answer).unwrap().unwrap();
+        let Some(Event::Frame(answer)) = back.feed(&mut answer, START) else { panic!("a frame") };
         prop_assert_eq!((answer.transaction, answer.unit), (transaction, 5));
         prop_assert!(expected.accepts_pdu(answer.pdu));
     }
