@@ -21,7 +21,7 @@ fuzz_target!(|data: &[u8]| {
         let content = script.record();
         let room = if room < 0xE0 { 300 } else { usize::from(room & 0x1F) };
         let mut out = vec![0xEE; room];
-        let before = daq.hardware().settings;
+        let before = *daq.hardware().settings.as_bytes();
         let address = content.first().copied();
         let outcome = match way & 0x07 {
             0 => daq.serve_serial(content, &mut out).map(<[u8]>::to_vec),
@@ -33,7 +33,7 @@ fuzz_target!(|data: &[u8]| {
             }
             _ => daq.serve_serial(&sealed(content), &mut out).map(<[u8]>::to_vec),
         };
-        let after = daq.hardware().settings;
+        let after = *daq.hardware().settings.as_bytes();
         match outcome {
             Ok(reply) => {
                 assert_ne!(address, Some(BROADCAST));

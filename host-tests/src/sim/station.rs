@@ -12,7 +12,6 @@ use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::ascii;
 use jointbus_protocol::ndam9010::Layout;
-use jointbus_protocol::nst::register::SETTINGS_LENGTH;
 use jointbus_protocol::time::{Duration, Instant};
 use std::collections::VecDeque;
 
@@ -40,10 +39,9 @@ pub const fn pattern(device: u8, register: u16) -> u8 {
 /// A sensor for the simulation: its axes spell the moment, its registers hold [`pattern`].
 fn sensor(address: u8, wiring: Wiring) -> Sensor {
     let mut sensor = Sensor::new(address, wiring, Motion::spelling());
-    let settings: &mut [u8; SETTINGS_LENGTH] = &mut sensor.daq().hardware().settings;
-    for register in PATTERN {
-        settings[usize::from(register)] = pattern(address, register);
-    }
+    let bytes: Vec<u8> = PATTERN.map(|register| pattern(address, register)).collect();
+    let written = sensor.daq().hardware().settings.write(PATTERN.start, &bytes);
+    assert!(written.is_ok(), "registers that are never written hold anything");
     sensor
 }
 

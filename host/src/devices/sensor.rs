@@ -1,6 +1,8 @@
 use super::{Log, Motion, Order};
-use jointbus_protocol::nst::register::{self, Register};
-use jointbus_protocol::nst::{Daq, NoResponse, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding};
+use jointbus_protocol::nst::register;
+use jointbus_protocol::nst::{
+    Channel, Daq, NoResponse, RamHardware, Request, SAMPLE_LENGTH, Sample, SignEncoding,
+};
 use jointbus_protocol::time::Instant;
 
 /// Which of its ports a sensor uses, as its channel register (4.1.10) says.
@@ -29,9 +31,13 @@ impl Sensor {
     pub fn new(address: u8, wiring: Wiring, motion: Motion) -> Self {
         let mut hardware = RamHardware::new(address);
         let serial_number = format!("SIM{address:010}");
-        put(&mut hardware, register::SERIAL_NUMBER, serial_number.as_bytes());
-        put(&mut hardware, register::MODEL, b"NST-SIM");
-        put(&mut hardware, register::CHANNEL, &[u8::from(wiring == Wiring::Rs485)]);
+        let settings = &mut hardware.settings;
+        settings.set_serial_number(text(serial_number.as_bytes()));
+        settings.set_model(text(b"NST-SIM"));
+        settings.set_channel(match wiring {
+            Wiring::Can => Channel::Can,
+            Wiring::Rs485 => Channel::Rs485,
+        });
         Self {
             daq: Daq::new(hardware, SignEncoding::TwosComplement),
             motion,
@@ -130,7 +136,9 @@ fn reads_all_axes(request: &Request<'_>) -> bool {
         && first + usize::from(request.length()) >= data + SAMPLE_LENGTH
 }
 
-fn put(hardware: &mut RamHardware, register: Register, value: &[u8]) {
-    let start = usize::from(register.first);
-    hardware.settings[start..][..value.len()].copy_from_slice(value);
+/// As many characters as there are, and zeros behind them.
+fn text(characters: &[u8]) -> [u8; 16] {
+    let mut text = [0; 16];
+    text.iter_mut().zip(characters).for_each(|(place, character)| *place = *character);
+    text
 }

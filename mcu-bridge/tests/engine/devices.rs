@@ -23,14 +23,16 @@ fn a_read_reply_with_function_code_0x10_is_taken_and_counted() {
 #[test]
 fn long_reads_over_can_are_split_and_joined() {
     let mut world = World::new();
-    world.can_daq.hardware().settings[..0xE3]
-        .iter_mut()
-        .enumerate()
-        .for_each(|(index, byte)| *byte = index as u8);
+    let system: Vec<u8> = (0..0xE3).collect();
+    world.can_daq.hardware().settings.write(0, &system).unwrap();
     for length in [126, 127, 200, 249] {
         let reply = world.nst(1, &[0x03, 0, 0, length], SOON);
         assert_eq!(reply[..2], [0x03, length]);
-        assert_eq!(reply[2..], world.can_daq.hardware().settings[..length.into()], "{length} bytes");
+        assert_eq!(
+            reply[2..],
+            world.can_daq.hardware().settings.as_bytes()[..length.into()],
+            "{length} bytes"
+        );
     }
     assert_eq!(world.engine.counters(CAN).sent, 1 + 3 * 2, "a frame a part");
 }
@@ -44,7 +46,7 @@ fn long_writes_over_can_are_split() {
         let body = [&[0x10, 0, first, length][..], &data].concat();
         assert_eq!(world.nst(1, &body, SOON), [0x10, length]);
         let start = usize::from(first);
-        assert_eq!(world.can_daq.hardware().settings[start..start + data.len()], data);
+        assert_eq!(world.can_daq.hardware().settings.as_bytes()[start..start + data.len()], data);
     }
 }
 

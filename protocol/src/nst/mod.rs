@@ -6,18 +6,22 @@
 
 pub mod can;
 mod dispatcher;
+mod error;
 mod frame;
 pub mod register;
 mod sample;
 pub mod serial;
+mod settings;
 pub mod stream;
 
-pub use dispatcher::{Daq, Hardware, NoResponse, RamHardware, Refusal, StoreError};
+pub use dispatcher::{Daq, Hardware, RamHardware};
+pub use error::{NoResponse, Refusal, SettingsError, StoreError};
 pub use frame::{
     BodyError, COMMAND_LENGTH, FunctionCode, REPLY_DATA_MAX, RESPONSE_HEADER, Request, Response,
     WRITE_DATA_MAX,
 };
 pub use sample::{AXES, SAMPLE_LENGTH, Sample, SignEncoding};
+pub use settings::{ActiveSettings, Channel, EthernetMode, Settings};
 
 /// Address of a broadcast: writes and commands only, never answered (4.1.3).
 pub const BROADCAST: u8 = 0xFF;

@@ -77,10 +77,6 @@ impl Register {
     }
 }
 
-const fn row(first: u16, length: u16, access: Access, encoding: Encoding) -> Register {
-    Register { first, length, access, encoding, values: Values::Any, default: None }
-}
-
 impl Register {
     const fn values(self, values: Values) -> Self {
         Self { values, ..self }
@@ -91,71 +87,59 @@ impl Register {
     }
 }
 
-use Access::{Read, ReadWrite};
-use Encoding::{Ascii, I24Be, I32Le, Opaque, U8, U16Le, U32Le};
 use Values::{Between, OneOf, OneOfOrDefault};
 
-/// Used by the system, 0x0000 to 0x00E2.
-pub const SYSTEM_0: Register = row(0x0000, 227, ReadWrite, Opaque);
-/// User matrix, 0x00E3 to 0x0172; the manual gives no layout.
-pub const USER_MATRIX: Register = row(0x00E3, 144, ReadWrite, Opaque);
-/// Serial number, 13 characters used (4.1.1).
-pub const SERIAL_NUMBER: Register = row(0x0173, 16, Read, Ascii);
-/// Model, 10 characters used (4.1.2).
-pub const MODEL: Register = row(0x0183, 16, Read, Ascii);
-/// Address (4.1.3).
-pub const ADDRESS: Register =
-    row(0x0193, 1, ReadWrite, U8).values(Between(super::ADDRESS_MIN, super::ADDRESS_MAX));
-/// Baud rate of UART1, the RS232/RS485 port (4.1.4).
-pub const UART1_BAUD: Register =
-    row(0x0194, 4, ReadWrite, U32Le).values(OneOfOrDefault(&UART1_BAUDS)).default(DEFAULT_BAUD);
-/// Bit rate of CAN in kbit/s (4.1.5).
-pub const CAN_RATE: Register = row(0x0198, 4, ReadWrite, U32Le).values(OneOf(&CAN_RATES));
-/// Baud rate of UART2, the USB port (4.1.6).
-pub const UART2_BAUD: Register =
-    row(0x019C, 4, ReadWrite, U32Le).values(OneOfOrDefault(&UART2_BAUDS)).default(DEFAULT_BAUD);
-/// Used by the system.
-pub const SYSTEM_1: Register = row(0x01A0, 1, ReadWrite, Opaque);
-/// IPv4 address in reading order (4.1.7).
-pub const IP_ADDRESS: Register = row(0x01A1, 4, ReadWrite, U8);
-/// Port (4.1.8).
-pub const IP_PORT: Register = row(0x01A5, 2, ReadWrite, U16Le);
-/// Zero points Fx Fy Fz Tx Ty Tz (4.1.9).
-pub const ZERO_POINTS: Register = row(0x01A7, 24, ReadWrite, I32Le);
-/// Used by the system.
-pub const SYSTEM_2: Register = row(0x01BF, 3, ReadWrite, Opaque);
-/// 0 = CAN, 1 = RS485 (4.1.10).
-pub const CHANNEL: Register = row(0x01C2, 1, ReadWrite, U8).values(Between(0, 1));
-/// Used by the system.
-pub const SYSTEM_3: Register = row(0x01C3, 4, ReadWrite, Opaque);
-/// Ethernet mode: 0 = UDP, 1 = TCP server (4.1.11).
-pub const ETHERNET_MODE: Register = row(0x01C7, 1, ReadWrite, U8).values(Between(0, 1));
-/// Used by the system.
-pub const SYSTEM_4: Register = row(0x01C8, 56, ReadWrite, Opaque);
-/// Data Fx Fy Fz Tx Ty Tz in 18 bytes, the rest 0 (4.1.12).
-pub const DATA: Register = row(0x0200, 256, Read, I24Be);
+/// Rows of table 4: a constant each, whose page shows what the row says, and all of them in `TABLE`.
+macro_rules! table {
+    ($($name:ident = $first:literal, $length:literal, $access:ident, $encoding:ident, $text:literal
+        $(, $set:ident($value:expr))*;)+) => {
+        $(
+            #[doc = concat!("`", stringify!($first), "`, length ", $length, ": ", $text)]
+            #[doc = ""]
+            #[doc = concat!("[`Access::", stringify!($access), "`], [`Encoding::", stringify!($encoding), "`].")]
+            pub const $name: Register = Register {
+                first: $first,
+                length: $length,
+                access: Access::$access,
+                encoding: Encoding::$encoding,
+                values: Values::Any,
+                default: None,
+            }$(.$set($value))*;
+        )+
 
-/// Table 4, in its order.
-pub const TABLE: [Register; 18] = [
-    SYSTEM_0,
-    USER_MATRIX,
-    SERIAL_NUMBER,
-    MODEL,
-    ADDRESS,
-    UART1_BAUD,
-    CAN_RATE,
-    UART2_BAUD,
-    SYSTEM_1,
-    IP_ADDRESS,
-    IP_PORT,
-    ZERO_POINTS,
-    SYSTEM_2,
-    CHANNEL,
-    SYSTEM_3,
-    ETHERNET_MODE,
-    SYSTEM_4,
-    DATA,
-];
+        /// Table 4, in its order.
+        pub const TABLE: [Register; [$($first),+].len()] = [$($name),+];
+    };
+}
+
+table! {
+    SYSTEM_0 = 0x0000, 227, ReadWrite, Opaque, "used by the system.";
+    USER_MATRIX = 0x00E3, 144, ReadWrite, Opaque, "user matrix; the manual gives no layout.";
+    SERIAL_NUMBER = 0x0173, 16, Read, Ascii, "serial number, 13 characters used (4.1.1).";
+    MODEL = 0x0183, 16, Read, Ascii, "model, 10 characters used (4.1.2).";
+    ADDRESS = 0x0193, 1, ReadWrite, U8, "address, 0x01 to 0x7F (4.1.3).",
+        values(Between(super::ADDRESS_MIN, super::ADDRESS_MAX));
+    UART1_BAUD = 0x0194, 4, ReadWrite, U32Le,
+        "baud rate of UART1, the RS232/RS485 port, one of [`UART1_BAUDS`] (4.1.4).",
+        values(OneOfOrDefault(&UART1_BAUDS)), default(DEFAULT_BAUD);
+    CAN_RATE = 0x0198, 4, ReadWrite, U32Le, "bit rate of CAN in kbit/s, one of [`CAN_RATES`] (4.1.5).",
+        values(OneOf(&CAN_RATES));
+    UART2_BAUD = 0x019C, 4, ReadWrite, U32Le,
+        "baud rate of UART2, the USB port, one of [`UART2_BAUDS`] (4.1.6).",
+        values(OneOfOrDefault(&UART2_BAUDS)), default(DEFAULT_BAUD);
+    SYSTEM_1 = 0x01A0, 1, ReadWrite, Opaque, "used by the system.";
+    IP_ADDRESS = 0x01A1, 4, ReadWrite, U8, "IPv4 address in reading order (4.1.7).";
+    IP_PORT = 0x01A5, 2, ReadWrite, U16Le, "port (4.1.8).";
+    ZERO_POINTS = 0x01A7, 24, ReadWrite, I32Le, "zero points Fx Fy Fz Tx Ty Tz (4.1.9).";
+    SYSTEM_2 = 0x01BF, 3, ReadWrite, Opaque, "used by the system.";
+    CHANNEL = 0x01C2, 1, ReadWrite, U8, "0 = CAN, 1 = RS485 on the shared pins of an NST2000 (4.1.10).",
+        values(Between(0, 1));
+    SYSTEM_3 = 0x01C3, 4, ReadWrite, Opaque, "used by the system.";
+    ETHERNET_MODE = 0x01C7, 1, ReadWrite, U8, "Ethernet mode: 0 = UDP, 1 = TCP server (4.1.11).",
+        values(Between(0, 1));
+    SYSTEM_4 = 0x01C8, 56, ReadWrite, Opaque, "used by the system.";
+    DATA = 0x0200, 256, Read, I24Be, "data Fx Fy Fz Tx Ty Tz in 18 bytes, the rest 0 (4.1.12).";
+}
 
 /// Bytes below the data registers: all that a device keeps over power-off.
 pub const SETTINGS_LENGTH: usize = DATA.first as usize;

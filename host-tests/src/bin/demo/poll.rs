@@ -352,7 +352,7 @@ mod tests {
         let (right, wrong) = outcome(|bench| {
             let mut bus = bench.can.lock();
             let daq = bus.sensor(1).unwrap().daq();
-            daq.hardware().settings[usize::from(ZERO_POINTS.first)] = 1;
+            daq.hardware().settings.write(ZERO_POINTS.first, &[1]).unwrap();
             daq.restart();
         });
         assert_eq!((right, wrong), (false, vec![2, 0, 0, 0, 0]));

@@ -32,6 +32,7 @@ pub(crate) fn all() {
     write(settings::Settings::decode(&any([0; settings::STORED_LENGTH])).err());
     write(Some(settings::StoreError));
     write(Some(nst::StoreError));
+    write(nst::Settings::decode(&any([0; nst::register::SETTINGS_LENGTH])).err());
     write(nst::Request::decode(bytes()).err());
     write(nst::can::segment(byte(), byte(), bytes()).err());
     write(Some(refusal()));

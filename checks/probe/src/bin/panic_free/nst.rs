@@ -4,8 +4,8 @@ use jointbus_protocol::decode::{Framing, Match};
 use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, next_fragment, segment};
 use jointbus_protocol::nst::register::{self, SETTINGS_LENGTH};
 use jointbus_protocol::nst::{
-    AXES, Daq, FunctionCode, Hardware, RamHardware, Request, Response, SAMPLE_LENGTH, Sample, SignEncoding,
-    StoreError, serial, stream,
+    AXES, ActiveSettings, Channel, Daq, EthernetMode, FunctionCode, Hardware, RamHardware, Request, Response,
+    SAMPLE_LENGTH, Sample, Settings, SignEncoding, StoreError, serial, stream,
 };
 use jointbus_protocol::wire::Writer;
 
@@ -16,6 +16,7 @@ pub(crate) fn all() {
     replies();
     samples();
     registers();
+    settings_by_name(settings());
     serial();
     stream();
     identifiers();
@@ -24,7 +25,7 @@ pub(crate) fn all() {
     reassembler::<4>();
     let sign = sign();
     daq(Daq::new(RamHardware::new(byte()), sign));
-    daq(Daq::new(Anything { settings: any([0; SETTINGS_LENGTH]) }, sign));
+    daq(Daq::new(Anything { settings: settings() }, sign));
 }
 
 fn sign() -> SignEncoding {
@@ -84,6 +85,39 @@ fn registers() {
     for register in any(register::TABLE) {
         sink(register.last());
         sink(register.meets(word(), word()));
+    }
+}
+
+fn settings() -> Settings {
+    let stored = any([0; SETTINGS_LENGTH]);
+    Settings::decode(&stored).unwrap_or(Settings::FACTORY)
+}
+
+#[inline(never)]
+fn settings_by_name(mut settings: Settings) {
+    while flag() {
+        match any(0) {
+            0 => sink(settings.write(word(), bytes())),
+            1 => settings.set_serial_number(any([0; 16])),
+            2 => settings.set_model(any([0; 16])),
+            3 => sink(settings.set_address(byte())),
+            4 => sink(settings.set_uart1_baud(long())),
+            5 => sink(settings.set_can_rate(long())),
+            6 => sink(settings.set_uart2_baud(long())),
+            7 => settings.set_ip_address(any([0; 4])),
+            8 => settings.set_ip_port(word()),
+            9 => settings.set_zero_points(Sample(any([0; AXES])), sign()),
+            10 => settings.set_channel(if flag() { Channel::Can } else { Channel::Rs485 }),
+            _ => settings.set_ethernet_mode(if flag() { EthernetMode::Udp } else { EthernetMode::TcpServer }),
+        }
+    }
+    sink((settings.serial_number(), settings.model(), settings.address(), settings.ip_address()));
+    sink((settings.uart1_baud(), settings.can_rate(), settings.uart2_baud(), settings.ip_port()));
+    sink((settings.zero_points(sign()), settings.channel(), settings.ethernet_mode()));
+    sink(ActiveSettings::new(&settings, sign()));
+    sink(*settings.as_bytes());
+    for register in any(register::TABLE) {
+        sink(settings.bytes(register));
     }
 }
 
@@ -160,7 +194,7 @@ fn reassembler<const CONTEXTS: usize>() {
 
 /// Hardware with any content.
 struct Anything {
-    settings: [u8; SETTINGS_LENGTH],
+    settings: Settings,
 }
 
 impl Hardware for Anything {
@@ -168,13 +202,17 @@ impl Hardware for Anything {
         Sample(any([0; AXES]))
     }
 
-    fn settings(&self) -> &[u8; SETTINGS_LENGTH] {
+    fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    fn store(&mut self, settings: &[u8; SETTINGS_LENGTH]) -> Result<(), StoreError> {
+    fn store(&mut self, settings: &Settings) -> Result<(), StoreError> {
         self.settings = any(*settings);
         if flag() { Ok(()) } else { Err(StoreError) }
+    }
+
+    fn restart(&mut self, active: &ActiveSettings) {
+        sink(*active);
     }
 }
 
@@ -186,14 +224,19 @@ fn daq<H: Hardware>(mut daq: Daq<H>) {
             1 => sink(daq.address()),
             2 => sink(daq.hardware().sample()),
             3 => sink(daq.sample()),
-            4 => buffer::<300>(|out| sink(daq.serve_serial(bytes(), out))),
-            5 => buffer::<300>(|out| sink(daq.serve_stream(bytes(), out))),
-            6 => daq
+            4 => sink(*daq.active()),
+            5 => sink(daq.needs_restart()),
+            6 => buffer::<300>(|out| {
+                sink(daq.serve_frame(&serial::Frame { address: byte(), body: bytes() }, out))
+            }),
+            7 => buffer::<300>(|out| sink(daq.serve_serial(bytes(), out))),
+            8 => buffer::<300>(|out| sink(daq.serve_stream(bytes(), out))),
+            9 => daq
                 .serve_can(byte(), byte(), bytes(), &mut [0; TRANSFER_MAX])
                 .into_iter()
                 .flatten()
                 .for_each(sink),
-            7 => buffer::<300>(|out| sink(daq.serve(byte(), bytes(), out))),
+            10 => buffer::<300>(|out| sink(daq.serve(byte(), bytes(), out))),
             _ => buffer::<300>(|out| sink(daq.dispatch(&request(), out))),
         }
     }
