@@ -10,13 +10,13 @@
 //! | | takes | gives |
 //! |---|---|---|
 //! | [`wire`], [`checksum`] | bytes | bounded reading and writing, CRC-16/MODBUS, LRC |
-//! | [`decode`], [`modbus::line`], [`modbus::ascii`], [`modbus::tcp`], [`nst::can`], [`slcan`] | a stream of bytes or CAN frames, and the [`time`] | whole, valid frames, and what was wrong with the rest |
+//! | [`decode`], [`modbus::line`], [`modbus::ascii`], [`modbus::tcp`], [`nst::line`], [`nst::can`], [`slcan`] | a stream of bytes or CAN frames, and the [`time`] | whole, valid frames, and what was wrong with the rest |
 //! | [`modbus::Request`], [`modbus::Response`], [`nst::Request`], [`nst::Response`] | the content of a frame | a value, decoded but not judged; and back into the caller's buffer |
 //! | [`modbus::server`], [`nst::Daq`], [`nxi6201::Card`], [`ndam9010::Station`] | a request and the owner's state behind a trait | a response, or silence with its reason |
 //!
 //! A firmware takes what it needs: the master's side of a bus wants [`decode::ResponseMatcher`] and an expectation such as
-//! [`modbus::ExpectedResponse`]; a slave wants [`decode::FrameDecoder`], or [`modbus::line::MultidropDecoder`] among other
-//! slaves, and a dispatcher. What the manuals of the devices leave open or contradict is named at the item that it
+//! [`modbus::ExpectedResponse`]; a slave wants [`decode::FrameDecoder`], or [`modbus::line::MultidropDecoder`] or
+//! [`nst::line::MultidropDecoder`] among other slaves, and a dispatcher. All decoders give the same [`decode::Event`]. What the manuals of the devices leave open or contradict is named at the item that it
 //! shapes, and collected in `DEVIATIONS.md`.
 //!
 //! # Serve your own registers

@@ -8,6 +8,7 @@ pub mod can;
 mod dispatcher;
 mod error;
 mod frame;
+pub mod line;
 pub mod register;
 mod sample;
 pub mod serial;

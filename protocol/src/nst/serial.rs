@@ -77,7 +77,23 @@ pub fn request_length(prefix: &[u8]) -> FrameLength {
     }
 }
 
-/// RequestFraming to one device of a line that has no other.
+/// Length of the response frame that starts with `prefix`, whatever the request was.
+#[must_use]
+pub fn response_length(prefix: &[u8]) -> FrameLength {
+    const HEAD: usize = 1 + RESPONSE_HEADER;
+    let Some(&code) = prefix.get(1) else { return FrameLength::AtLeast(HEAD) };
+    match (FunctionCode::from_code(code), prefix.get(2)) {
+        (FunctionCode::Unknown(_), _) => FrameLength::Impossible,
+        (_, None) => FrameLength::AtLeast(HEAD),
+        (function, Some(_)) if !function.is_read() => FrameLength::Exactly(RESPONSE_HEADER + OVERHEAD),
+        (_, Some(&length)) if usize::from(length) <= REPLY_DATA_MAX => {
+            FrameLength::Exactly((RESPONSE_HEADER + OVERHEAD).saturating_add(length.into()))
+        }
+        _ => FrameLength::Impossible,
+    }
+}
+
+/// Requests to one device of a line that has no other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RequestFraming;
 
@@ -156,6 +172,16 @@ impl ExpectedResponse {
     pub fn accepts(&self, frame: &[u8]) -> bool {
         frame.first() == Some(&self.address)
             && Frame::decode(frame).is_some_and(|frame| self.accepts_body(frame.body))
+    }
+
+    /// Length of the frame that starts with `prefix`, if that is the reply.
+    pub(super) fn frame_length(&self, prefix: &[u8]) -> FrameLength {
+        let head = [self.address, self.function.code(), self.length];
+        match prefix.iter().zip(&head).all(|(came, due)| came == due) {
+            false => FrameLength::Impossible,
+            true if prefix.len() < head.len() => FrameLength::AtLeast(head.len()),
+            true => FrameLength::Exactly(self.body_length().saturating_add(OVERHEAD)),
+        }
     }
 
     fn fits(&self, function: FunctionCode, body: &[u8]) -> bool {

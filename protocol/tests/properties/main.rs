@@ -200,6 +200,7 @@ proptest! {
         let mut burst = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
         let mut nst_burst = FrameDecoder::<{ FRAME_MAX + STRAY_MAX }>::new(SILENCE);
         let mut line = MultidropDecoder::new(4..=5, SILENCE);
+        let mut nst_line = nst::line::MultidropDecoder::new(4..=5, SILENCE);
         let (mut characters, mut connection) = (ascii::Decoder::new(), tcp::Decoder::new());
         let mut lines = slcan::LineReader::<40>::new();
         let expected = ExpectedResponse::new(1, &Request::ReadCoils(AddressRange::new(0, 9)));
@@ -224,11 +225,13 @@ proptest! {
                     let _ = slcan::Command::decode(line);
                 }
             }
+            rest = chunk;
+            while nst_line.feed(&mut rest, START).is_some() {}
         }
         let later = START.saturating_add(SILENCE);
         let _ = burst.poll(&rtu::RequestFraming, later);
         let _ = nst_burst.poll(&nst::serial::RequestFraming, later);
-        let _ = line.poll(later);
+        let _ = (line.poll(later).is_some(), nst_line.poll(later));
     }
 
     #[test]

@@ -80,7 +80,7 @@ impl<H: Hardware> Daq<H> {
         self.serve_frame(&frame, out)
     }
 
-    /// [`Daq::serve_serial`] of a frame whose checksum was looked at.
+    /// [`Daq::serve_serial`] of a frame whose checksum was looked at: from [`line::MultidropDecoder`](super::line::MultidropDecoder).
     ///
     /// # Errors
     /// [`NoResponse`]: why there is no answer.

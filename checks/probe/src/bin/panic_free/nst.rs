@@ -2,6 +2,7 @@
 
 use jointbus_protocol::decode::{Framing, Match};
 use jointbus_protocol::nst::can::{FrameType, Identifier, Reassembler, TRANSFER_MAX, next_fragment, segment};
+use jointbus_protocol::nst::line::MultidropDecoder;
 use jointbus_protocol::nst::register::{self, SETTINGS_LENGTH};
 use jointbus_protocol::nst::{
     AXES, ActiveSettings, Channel, Daq, EthernetMode, FunctionCode, Hardware, RamHardware, Request, Response,
@@ -18,6 +19,7 @@ pub(crate) fn all() {
     registers();
     settings_by_name(settings());
     serial();
+    shared_line();
     stream();
     identifiers();
     segments();
@@ -122,11 +124,28 @@ fn settings_by_name(mut settings: Settings) {
 }
 
 #[inline(never)]
+fn shared_line() {
+    let mut line = MultidropDecoder::new(byte()..=byte(), span());
+    while flag() {
+        let mut some = bytes();
+        match any(0) {
+            0 => sink(line.feed(&mut some, moment())),
+            1 => sink(line.poll(moment())),
+            2 => sink(line.deadline()),
+            3 => line.set_addresses(byte()..=byte()),
+            _ => line.set_silence(span()),
+        }
+        sink(some);
+    }
+}
+
+#[inline(never)]
 fn serial() {
     buffer::<300>(|space| sink(serial::encode_request(byte(), &request(), space)));
     buffer::<300>(|space| sink(serial::encode_reply(byte(), &reply(), space)));
     sink(serial::Frame::decode(bytes()));
     sink(serial::request_length(bytes()));
+    sink(serial::response_length(bytes()));
     sink(serial::RequestFraming.length(bytes()));
     sink(serial::RequestFraming.is_valid(bytes()));
     sink(serial::RequestFraming.is_broadcast(bytes()));
