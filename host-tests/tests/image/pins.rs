@@ -144,7 +144,6 @@ fn analog_inputs_are_measured_and_told_when_they_cannot_be() {
 
 #[test]
 fn host_silence_switches_the_pins_off() {
-    /// Host silence in ms.
     let bench = Bench::emulated(&options()).unwrap();
     let mut client = bench.client().unwrap();
     let emulator = emulator(&bench);
