@@ -49,6 +49,17 @@ fn a_sensor_without_its_plug_is_silent_and_returns() {
 }
 
 #[test]
+fn settings_are_read_by_their_names() {
+    let mut client = nst_client(&[7]);
+    let settings = client.nst(7).settings().unwrap();
+    assert_eq!((settings.address(), settings.uart1_baud(), settings.can_rate()), (7, 115_200, 1000));
+    let model = client.nst(7).read_register(MODEL).unwrap();
+    assert_eq!(model, settings.model());
+    client.nst(7).write(ADDRESS.first, &[9]).unwrap();
+    assert_eq!(client.nst(7).settings().unwrap().address(), 9);
+}
+
+#[test]
 fn zero_points_and_addresses_act_after_a_restart() {
     let mut client = nst_client(&[1]);
     let zero = client.nst(1).sample().unwrap();

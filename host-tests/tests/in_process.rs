@@ -3,7 +3,7 @@
 
 use jointbus::bench::{Bench, CAN_UNIT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
 use jointbus::bridge::{self, Limits, port};
-use jointbus::client::{self, Client, Error};
+use jointbus::client::{self, Client, Error, WordOrder};
 use jointbus_protocol::modbus::ExceptionCode;
 use jointbus_protocol::nst::Sample;
 use std::io::{Read, Write};
@@ -29,8 +29,11 @@ fn every_device_answers_through_the_bridge() {
     }
     client.modbus(RS485_B_UNIT).write_registers(0x0060, &[1, 2, 3, 4]).unwrap();
     assert_eq!(bench.rs485_b.lock().module(0).unwrap().analog_outputs[..4], [1, 2, 3, 4]);
-    client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1]).unwrap();
-    assert_eq!(client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap(), [2.5f32.to_bits(), 1]);
+    client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1], WordOrder::LowFirst).unwrap();
+    assert_eq!(
+        client.modbus(OUTPUTS_UNIT).read_holding_values::<u32>(4, 2, WordOrder::LowFirst).unwrap(),
+        [2.5f32.to_bits(), 1]
+    );
     let about = bridge::about(&mut client).unwrap();
     assert_eq!((about.map_version, about.version), (bridge::MAP_VERSION, jointbus::version()));
     let on_can = bridge::counters(&mut client, port::CAN).unwrap();

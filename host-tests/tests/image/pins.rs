@@ -2,6 +2,7 @@
 
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
+use jointbus::client::WordOrder;
 use jointbus_mcu_bridge::registers;
 
 /// Pins of the digital inputs and outputs in their order, and channels of the analog inputs.
@@ -85,11 +86,11 @@ fn analog_outputs_appear_at_the_converter_and_the_pwm() {
     let mut values = [OFF; 4];
     for channel in 0..4 {
         let set = [2.5f32.to_bits(), 1];
-        client.modbus(OUTPUTS_UNIT).write_values(4 + 20 * channel, &set).unwrap();
+        client.modbus(OUTPUTS_UNIT).write_values(4 + 20 * channel, &set, WordOrder::LowFirst).unwrap();
         values[usize::from(channel)] = VALUE;
         until(|| all() == expected(values));
     }
-    client.modbus(OUTPUTS_UNIT).write_values(6 + 20, &[0]).unwrap();
+    client.modbus(OUTPUTS_UNIT).write_values(6 + 20, &[0u32], WordOrder::LowFirst).unwrap();
     values[1] = OFF;
     until(|| all() == expected(values));
 }
@@ -148,10 +149,10 @@ fn host_silence_switches_the_pins_off() {
     let mut client = bench.client().unwrap();
     let emulator = emulator(&bench);
     client.modbus(IO_UNIT).write_coil(0x0207, true).unwrap();
-    client.modbus(OUTPUTS_UNIT).write_values(4, &[5f32.to_bits(), 1]).unwrap();
+    client.modbus(OUTPUTS_UNIT).write_values(4, &[5f32.to_bits(), 1], WordOrder::LowFirst).unwrap();
     until(|| emulator.ask("level PC11").unwrap() == "1" && emulator.ask("dac 1").unwrap() == "4095");
     client.modbus(bridge::UNIT).write_register(registers::HOST_SILENCE.address, 300).unwrap();
     until(|| emulator.ask("level PC11").unwrap() == "0" && emulator.ask("dac 1").unwrap() == "2047");
-    let set = client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap();
+    let set = client.modbus(OUTPUTS_UNIT).read_holding_values::<u32>(4, 2, WordOrder::LowFirst).unwrap();
     assert_eq!(set, [5f32.to_bits(), 0], "the set value stays");
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
+use jointbus::client::WordOrder;
 use jointbus_mcu_bridge::registers;
 use jointbus_protocol::nst::Sample;
 use jointbus_protocol::time::Instant as Moment;
@@ -29,8 +30,11 @@ fn every_device_is_read_and_written_through_the_image() {
     }
     client.modbus(RS485_B_UNIT).write_registers(0x0060, &[1, 2, 3, 4]).unwrap();
     assert_eq!(bench.rs485_b.lock().module(0).unwrap().analog_outputs[..4], [1, 2, 3, 4]);
-    client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1]).unwrap();
-    assert_eq!(client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap(), [2.5f32.to_bits(), 1]);
+    client.modbus(OUTPUTS_UNIT).write_values(4, &[2.5f32.to_bits(), 1], WordOrder::LowFirst).unwrap();
+    assert_eq!(
+        client.modbus(OUTPUTS_UNIT).read_holding_values::<u32>(4, 2, WordOrder::LowFirst).unwrap(),
+        [2.5f32.to_bits(), 1]
+    );
     let counters = bridge::counters(&mut client, port::CAN).unwrap();
     assert_eq!((counters.received, counters.sent, counters.overruns), (30, 10, 0), "three frames a reply");
 }

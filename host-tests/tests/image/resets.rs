@@ -2,6 +2,7 @@
 
 use super::*;
 use jointbus::bench::OUTPUTS_UNIT;
+use jointbus::client::WordOrder;
 use jointbus::clock::Clock;
 use jointbus_mcu_bridge::registers::{self, command};
 
@@ -101,7 +102,7 @@ fn no_request_uses_more_stack_than_there_is() {
         client.nst(CAN_UNIT).read(0x0000, 227).unwrap();
         client.nst(RS485_A_UNIT).read(0x0000, 227).unwrap();
         client.modbus(RS485_B_UNIT).read_input_registers(0x0040, 8).unwrap();
-        client.modbus(OUTPUTS_UNIT).read_values(4, 2).unwrap();
+        client.modbus(OUTPUTS_UNIT).read_holding_values::<u32>(4, 2, WordOrder::LowFirst).unwrap();
         client.modbus(bridge::UNIT).read_input_registers(0, 120).unwrap();
         client.modbus(bridge::UNIT).write_register(registers::COMMAND.address, command::SAVE).unwrap();
     }

@@ -6,9 +6,11 @@
 
 mod modbus;
 mod nst;
+mod value;
 
 pub use modbus::Modbus;
 pub use nst::Nst;
+pub use value::{RegisterValue, WordOrder};
 
 use crate::devices::attach::is_pause;
 use jointbus_protocol::decode::{Match, ResponseMatcher};

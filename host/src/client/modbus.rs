@@ -1,3 +1,4 @@
+use super::value::{self, RegisterValue, WordOrder};
 use super::{Client, Error};
 use jointbus_protocol::modbus::rtu::{ExpectedResponse, FRAME_MAX, Frame, encode_request};
 use jointbus_protocol::modbus::{
@@ -98,24 +99,46 @@ impl<S: Read + Write> Modbus<'_, S> {
         })
     }
 
-    /// 0x03 for 1 to 62 values of two registers, low word first, as an NXI-6201 has them.
+    /// 0x03: reads `count` numbers from holding registers, at most 125 registers in all; with `T` as `f32`, `i32`, `u64` and
+    /// so on.
     ///
     /// # Errors
-    /// [`Error`].
-    pub fn read_values(&mut self, start: u16, count: u16) -> Result<Vec<u32>, Error> {
-        let words = self.read_holding_registers(start, count.checked_mul(2).ok_or(Error::Question)?)?;
-        let pairs = words.as_chunks::<2>().0.iter();
-        Ok(pairs.map(|[low, high]| u32::from(*high) << 16 | u32::from(*low)).collect())
+    /// [`Error`]; [`Error::Question`] where they are more registers than there are.
+    pub fn read_holding_values<T: RegisterValue>(
+        &mut self,
+        start: u16,
+        count: u16,
+        order: WordOrder,
+    ) -> Result<Vec<T>, Error> {
+        let quantity = count.checked_mul(T::WORDS).ok_or(Error::Question)?;
+        Ok(value::decode(&self.read_holding_registers(start, quantity)?, order))
     }
 
-    /// 0x10 for 1 to 61 values of two registers, low word first, as an NXI-6201 has them.
+    /// 0x04: reads `count` numbers from input registers, likewise.
+    ///
+    /// # Errors
+    /// As [`Modbus::read_holding_values`].
+    pub fn read_input_values<T: RegisterValue>(
+        &mut self,
+        start: u16,
+        count: u16,
+        order: WordOrder,
+    ) -> Result<Vec<T>, Error> {
+        let quantity = count.checked_mul(T::WORDS).ok_or(Error::Question)?;
+        Ok(value::decode(&self.read_input_registers(start, quantity)?, order))
+    }
+
+    /// 0x10: writes numbers to holding registers, at most 123 registers in all.
     ///
     /// # Errors
     /// [`Error`]; [`Error::Question`] where the values fit no frame.
-    pub fn write_values(&mut self, start: u16, values: &[u32]) -> Result<(), Error> {
-        let words: Vec<u16> =
-            values.iter().flat_map(|value| [(value & 0xFFFF) as u16, (value >> 16) as u16]).collect();
-        self.write_registers(start, &words)
+    pub fn write_values<T: RegisterValue>(
+        &mut self,
+        start: u16,
+        values: &[T],
+        order: WordOrder,
+    ) -> Result<(), Error> {
+        self.write_registers(start, &value::encode(values, order))
     }
 
     /// Any request; the answer's protocol data unit.

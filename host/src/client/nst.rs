@@ -1,8 +1,8 @@
 use super::{Client, Error};
-use jointbus_protocol::nst::register::{DATA, IP_ADDRESS, IP_PORT, ZERO_POINTS};
+use jointbus_protocol::nst::register::{DATA, IP_ADDRESS, IP_PORT, Register, SETTINGS_LENGTH, ZERO_POINTS};
 use jointbus_protocol::nst::serial::{ExpectedResponse, Frame, REQUEST_MAX, encode_request};
 use jointbus_protocol::nst::{
-    BROADCAST, FunctionCode, Request, Response, SAMPLE_LENGTH, Sample, SignEncoding,
+    BROADCAST, FunctionCode, Request, Response, SAMPLE_LENGTH, Sample, Settings, SignEncoding,
 };
 use std::io::{Read, Write};
 
@@ -21,7 +21,7 @@ impl<'c, S> Nst<'c, S> {
 }
 
 impl<S: Read + Write> Nst<'_, S> {
-    /// 0x03: reads 1 to 250 bytes of registers, from the byte address `register` on.
+    /// 0x03: reads 1 to 249 bytes of registers, from the byte address `register` on.
     ///
     /// # Errors
     /// [`Error`]; [`Error::Timeout`] where the sensor refuses. So for every method here.
@@ -39,6 +39,35 @@ impl<S: Read + Write> Nst<'_, S> {
         let data = self.read(DATA.first, LENGTH)?;
         let bytes = data.first_chunk().ok_or(Error::Answer)?;
         Ok(Sample::decode(bytes, SignEncoding::TwosComplement))
+    }
+
+    /// 0x03: a register of the manual's table 4, as its bytes; one longer than a frame in several reads.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn read_register(&mut self, register: Register) -> Result<Vec<u8>, Error> {
+        self.read_all(register.first, register.length)
+    }
+
+    /// 0x03: all settings, to be read by their names: address, rates, zero points, texts.
+    ///
+    /// # Errors
+    /// [`Error`]; [`Error::Answer`] where the sensor holds values that the manual does not allow.
+    pub fn settings(&mut self) -> Result<Settings, Error> {
+        let bytes = self.read_all(0, SETTINGS_LENGTH as u16)?;
+        let bytes = bytes.first_chunk().ok_or(Error::Answer)?;
+        Settings::decode(bytes).map_err(|_| Error::Answer)
+    }
+
+    fn read_all(&mut self, first: u16, length: u16) -> Result<Vec<u8>, Error> {
+        // a sensor sends no more at once
+        const MOST: usize = 249;
+        let mut bytes = Vec::new();
+        while bytes.len() < usize::from(length) {
+            let left = (usize::from(length) - bytes.len()).min(MOST);
+            bytes.extend(self.read(first + bytes.len() as u16, left as u8)?);
+        }
+        Ok(bytes)
     }
 
     /// 0x10: writes 1 to 249 bytes of registers, from the byte address `register` on.

@@ -2,7 +2,7 @@
 
 use jointbus::bench::{Bench, CAN_UNIT, LAYOUT, OUTPUTS_UNIT, RS485_A_UNIT, RS485_B_UNIT};
 use jointbus::bridge::{self, port};
-use jointbus::client::{Client, Error};
+use jointbus::client::{Client, Error, WordOrder};
 use jointbus::devices::{Inputs, Log};
 use jointbus::share::{Share, Turn};
 use jointbus_protocol::nst::{AXES, Sample};
@@ -224,11 +224,15 @@ impl<'b> Poller<'b> {
         let unit = OUTPUTS_UNIT;
         let wanted = [VOLTS.to_bits(), 1];
         if self.rounds == 0
-            && self.ask(unit, |client| client.modbus(unit).write_values(SET_VALUE, &wanted)).is_none()
+            && self
+                .ask(unit, |client| client.modbus(unit).write_values(SET_VALUE, &wanted, WordOrder::LowFirst))
+                .is_none()
         {
             return;
         }
-        if let Some((values, ..)) = self.ask(unit, |client| client.modbus(unit).read_values(SET_VALUE, 2)) {
+        if let Some((values, ..)) = self.ask(unit, |client| {
+            client.modbus(unit).read_holding_values::<u32>(SET_VALUE, 2, WordOrder::LowFirst)
+        }) {
             self.expect(unit, values == wanted, || format!("channel 1 reads {values:x?}"));
             if let [volts, on] = *values {
                 self.readings.output = Some((f32::from_bits(volts), on == 1));
