@@ -28,14 +28,12 @@ impl Instant {
 
     /// Add `span`, at most up to [`Instant::MAX`].
     #[must_use]
-    #[inline(never)] // a saturating addition of 64 bits is long on a 32-bit core, and there are many
     pub const fn saturating_add(self, span: Duration) -> Self {
         Self(self.0.saturating_add(span.0))
     }
 
     /// Return the time since `earlier`, or zero where that is later.
     #[must_use]
-    #[inline(never)] // as above
     pub const fn saturating_duration_since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
     }

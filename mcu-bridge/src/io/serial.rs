@@ -391,7 +391,6 @@ impl MainHalf<'_> {
         came
     }
 
-    #[inline(never)]
     fn carry_all_in(&mut self, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
         for _ in 0..self.shared.errors.more_than(&mut self.seen.errors) {
             engine.receive_error(port);

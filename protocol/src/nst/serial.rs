@@ -125,7 +125,6 @@ pub struct ExpectedResponse {
 impl ExpectedResponse {
     /// What the device at `address` may answer to `request`.
     #[must_use]
-    #[inline(never)] // in many places of a bridge
     pub fn new(address: u8, request: &Request<'_>) -> Self {
         Self { address, function: request.function(), length: request.length() }
     }

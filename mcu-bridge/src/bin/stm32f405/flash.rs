@@ -67,7 +67,6 @@ impl Sectors {
 }
 
 /// Waits until the controller is idle and tells what it says.
-#[inline(never)] // in many places
 fn wait(flash: &FLASH) -> Result<(), FlashError> {
     let start = time::micros();
     while flash.sr().read().bsy().bit_is_set() {

@@ -13,7 +13,6 @@ mod constants;
 mod flash;
 mod fpu;
 mod inputs;
-mod memory;
 mod outputs;
 mod pins;
 mod reset;
@@ -300,7 +299,7 @@ mod app {
         }
     }
 
-    // these are never inlined: what they need of the stack is to be in use only while they run
+    // three are never inlined: their buffers would stay on the stack of the main loop, 804 bytes more at worst
 
     #[inline(never)]
     fn make_engine(
@@ -329,7 +328,6 @@ mod app {
         store.is_some_and(|store| store.save(&settings).is_ok())
     }
 
-    #[inline(never)]
     fn configure(engine: &mut Engine, lines: &[Line], can_hz: &mut Option<u32>, port: Port) {
         let Some(config) = engine.port(port) else { return };
         if let Some(line) = lines.iter().find(|line| line.port == port) {
@@ -349,7 +347,6 @@ mod app {
         }
     }
 
-    #[inline(never)]
     fn carry_can_in(engine: &mut Engine, frames: &mut Consumer<'static, Received>, now: Instant) {
         report_sent(engine, now);
         for _ in 0..CAN_REPORTS.transmit_errors.swap(0, Ordering::Relaxed) {
@@ -394,7 +391,6 @@ mod app {
         }
     }
 
-    #[inline(never)]
     fn carry_can_out(engine: &mut Engine, todo: &mut Todo, now: Instant) {
         let can = can();
         if todo.abort {

@@ -46,7 +46,6 @@ mod sr {
 }
 
 /// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6); its interrupt must not come meanwhile.
-#[inline(never)] // in several places, and seldom
 pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
     let baud = config.baud().max(1);
     let divider = ((bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
@@ -108,7 +107,6 @@ impl<const IN: usize> Uart<IN> {
 // these are handed what they need piece by piece: where nobody has the address of a port, its constants stay constants
 
 /// Not all went well with what came; tells the byte that is to be taken nevertheless.
-#[inline(never)]
 fn on_error(mut queues: TransmitterSide<'_>, status: u16, byte: u8) -> Option<u8> {
     if status & sr::OVERRUN != 0 {
         // the byte in the register is well, the one behind it is lost
@@ -127,7 +125,6 @@ fn on_error(mut queues: TransmitterSide<'_>, status: u16, byte: u8) -> Option<u8
 }
 
 /// Feeds the transmitter, and releases the driver after the last stop bit.
-#[inline(never)]
 fn send(usart: Registers, mut queues: TransmitterSide<'_>, driver_enable: DriverEnable) {
     // bounded by what the queue holds; the chip takes two bytes at a time, the emulator all
     while usart.sr().read().bits() & sr::EMPTY != 0 {

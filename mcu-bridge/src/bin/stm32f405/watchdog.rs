@@ -36,7 +36,6 @@ impl Watchdog {
         self.set(DIVIDE_BY_16, WATCHDOG_STEPS);
     }
 
-    #[inline(never)] // in many places, and seldom
     fn set(&mut self, prescaler: u8, steps: u32) {
         // a former change takes a few cycles of the slow oscillator
         let _ = (0..HARDWARE_TRIES).any(|_| self.0.sr().read().bits() == 0);

@@ -220,7 +220,6 @@ impl<'a> Change<'a> {
     }
 
     /// A channel that is going to be written.
-    #[inline(never)] // in many places
     fn channel(&mut self, index: usize) -> Option<&mut Channel> {
         let channel = self.settings.channels.get_mut(index)?;
         self.channels.get_mut(index)?.get_or_insert(*channel);
