@@ -11,7 +11,7 @@
 //! |---|---|---|
 //! | [`wire`], [`checksum`] | bytes | bounded reading and writing, CRC-16/MODBUS, LRC |
 //! | [`decode`], [`modbus::line`], [`modbus::ascii`], [`modbus::tcp`], [`nst::line`], [`nst::can`], [`slcan`] | a stream of bytes or CAN frames, and the [`time`] | whole, valid frames, and what was wrong with the rest |
-//! | [`modbus::Request`], [`modbus::Response`], [`nst::Request`], [`nst::Response`] | the content of a frame | a value, decoded but not judged; and back into the caller's buffer |
+//! | [`modbus::Request`], [`modbus::Response`], [`nst::Request`], [`nst::Response`] | the content of a frame | a value, decoded but not checked; and back into the caller's buffer |
 //! | [`modbus::server`], [`nst::Daq`], [`nxi6201::Card`], [`ndam9010::Station`] | a request and the owner's state behind a trait | a response, or silence with its reason |
 //!
 //! A firmware takes what it needs: the master's side of a bus wants [`decode::ResponseMatcher`] and an expectation such as

@@ -173,7 +173,7 @@ pub(crate) fn copy(from: &[u8], to: &mut [u8]) {
 /// Moves the bytes behind the first `gap` to the front; `gap` bytes of what they leave stay at the end.
 ///
 /// A loop a byte: `copy_within` keeps a panic, and brings the whole `memmove` into the image for a move as rare as this.
-pub fn close_gap(bytes: &mut [u8], gap: usize) {
+pub(crate) fn close_gap(bytes: &mut [u8], gap: usize) {
     let cells = Cell::from_mut(bytes).as_slice_of_cells();
     cells.iter().zip(cells.iter().skip(gap)).for_each(|(to, from)| to.set(from.get()));
 }

@@ -36,7 +36,7 @@ pub trait LocalUnit: core::fmt::Debug {
     /// Sets the unit to what it is when power comes.
     fn power_up(&mut self);
 
-    /// Judges a request whole, then carries it out whole; the data unit of the response, written into `out`. `None`
+    /// Checks a request whole, then carries it out whole; the data unit of the response, written into `out`. `None`
     /// where it has no room.
     fn dispatch<'o>(&mut self, request: &Request<'_>, out: &'o mut [u8]) -> Option<&'o [u8]>;
 

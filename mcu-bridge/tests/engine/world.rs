@@ -1,4 +1,4 @@
-//! An engine with devices on its buses, in virtual time: every call made_progress to the engine's next deadline.
+//! An engine with devices on its buses, in virtual time: every call goes on to the engine's next deadline.
 
 use jointbus_mcu_bridge::board::Port;
 use jointbus_mcu_bridge::boards::stm32f405::{CAN, Engine, RS485_A, RS485_B};

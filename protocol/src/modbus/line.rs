@@ -21,7 +21,7 @@ pub type Event<'a> = MultidropEvent<Frame<'a>, DecodeError>;
 /// [`FrameDecoder`] does on a line of one's own: the data of a response starts too early for that.
 ///
 /// After power-up and after anything wrong the next frame of another server may be a response to a request that was not
-/// heard, and is judged as such too.
+/// heard, and is checked as such too.
 ///
 /// Bytes that our own transmitter sends are not to be fed.
 ///
@@ -77,13 +77,13 @@ impl MultidropDecoder {
     /// Takes bytes that ended at `now` until something was heard or none are left; call again while something was.
     pub fn feed(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Event<'_>> {
         let event = self.decoder.feed(&self.parties, bytes, now)?;
-        Some(self.parties.judge(event))
+        Some(self.parties.classify(event))
     }
 
     /// Tells the time, so that silence is noticed.
     pub fn poll(&mut self, now: Instant) -> Option<Event<'_>> {
         let event = self.decoder.poll(&self.parties, now)?;
-        Some(self.parties.judge(event))
+        Some(self.parties.classify(event))
     }
 }
 
@@ -92,7 +92,7 @@ impl Parties {
         unit == BROADCAST || (self.first <= unit && unit <= self.last)
     }
 
-    fn judge<'a>(&mut self, event: FrameEvent<'a>) -> Event<'a> {
+    fn classify<'a>(&mut self, event: FrameEvent<'a>) -> Event<'a> {
         let bytes = match event {
             decode::Event::Frame(frame) => frame,
             // silence ended the shorter one of two frames that it could have been

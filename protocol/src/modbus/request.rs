@@ -3,7 +3,7 @@ use super::{AddressRange, DiagnosticSubfunction, FunctionCode};
 use crate::error::error_text;
 use crate::wire::{NoSpace, Reader, Truncated, Writer};
 
-/// A request, decoded but not judged: quantities and values are as they came.
+/// A request, decoded but not checked: quantities and values are as they came.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request<'a> {

@@ -140,7 +140,7 @@ impl Module for RamModule {
     }
 }
 
-/// Judges a request to a module whole, then carries it out whole; the data unit of the response, written into `out`.
+/// Checks a request to a module whole, then carries it out whole; the data unit of the response, written into `out`.
 ///
 /// Exceptions (the manual names none): 01 for other function codes; 02 past the last present register or bit, across
 /// areas, and for writes of inputs; 03 for quantities, byte counts and coil values; 04 and 06 from the driver.

@@ -147,7 +147,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Judges the settings together.
+    /// Checks the settings together.
     ///
     /// # Errors
     /// The first [`SettingsError`] found.

@@ -104,7 +104,7 @@ fn answer<M: Module>(
     }
 }
 
-/// Every module judges a broadcast for itself; the last refusal is told.
+/// Every module checks a broadcast for itself; the last refusal is told.
 fn broadcast<M: Module>(modules: &mut [M], request: &Request<'_>) -> Result<(), Failure> {
     let mut result = Ok(());
     for module in modules {

@@ -42,7 +42,7 @@ pub const WRITE_DATA_MAX: usize = 249;
 /// Most data bytes taken in a reply: 4.2.3 counts them from DAT0 to DATn with n < 250. A device sends one fewer.
 pub const REPLY_DATA_MAX: usize = 250;
 
-/// A request, decoded but not judged.
+/// A request, decoded but not checked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request<'a> {

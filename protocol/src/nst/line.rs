@@ -251,9 +251,9 @@ impl MultidropDecoder {
     fn step(&mut self) -> Result<Told, usize> {
         loop {
             let verdict = match self.state {
-                State::InStep => self.judge(self.pending()),
-                State::Probation => self.judge_response(self.pending()),
-                State::Lost => self.judge_request(self.pending()),
+                State::InStep => self.verdict(self.pending()),
+                State::Probation => self.verdict_on_response(self.pending()),
+                State::Lost => self.verdict_on_request(self.pending()),
             };
             match (verdict, self.state) {
                 (Verdict::Need(length), _) => return Err(length),
@@ -318,8 +318,8 @@ impl MultidropDecoder {
         }
     }
 
-    /// Judges what starts with a frame.
-    fn judge(&self, pending: &[u8]) -> Verdict {
+    /// Checks what starts with a frame.
+    fn verdict(&self, pending: &[u8]) -> Verdict {
         use FrameLength::{AtLeast, Exactly, Impossible, UntilSilence};
         if pending.is_empty() {
             return Verdict::Need(1);
@@ -349,14 +349,14 @@ impl MultidropDecoder {
         matches!(self.due, Due::To(expected) if expected.function().is_read()) && !is_valid(pending, COMMAND)
     }
 
-    /// Judges what must start with the response that is due.
-    fn judge_response(&self, pending: &[u8]) -> Verdict {
+    /// Checks what must start with the response that is due.
+    fn verdict_on_response(&self, pending: &[u8]) -> Verdict {
         let [_, response] = self.lengths(pending);
         whole(pending, response, false)
     }
 
-    /// Judges what may start with a request to another device.
-    fn judge_request(&self, pending: &[u8]) -> Verdict {
+    /// Checks what may start with a request to another device.
+    fn verdict_on_request(&self, pending: &[u8]) -> Verdict {
         if self.is_ours(pending) || !is_plausible(pending) {
             return Verdict::Wrong(DecodeError::Impossible);
         }
@@ -372,7 +372,7 @@ fn is_valid(pending: &[u8], length: usize) -> bool {
     pending.get(..length).is_some_and(|frame| checksum::strip_crc(frame).is_some())
 }
 
-/// Judges a frame that can have one length.
+/// Checks a frame that can have one length.
 fn whole(pending: &[u8], length: FrameLength, certain: bool) -> Verdict {
     match length {
         FrameLength::AtLeast(length) => Verdict::Need(length),

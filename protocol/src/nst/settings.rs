@@ -60,7 +60,7 @@ impl Settings {
             return Err(SettingsError::Blank);
         }
         let mut settings = Self { bytes: *stored };
-        settings.judge(0, register::DATA.first).map_err(SettingsError::Value)?;
+        settings.check(0, register::DATA.first).map_err(SettingsError::Value)?;
         Ok(settings)
     }
 
@@ -102,11 +102,11 @@ impl Settings {
         }
         let place = self.bytes.iter_mut().skip(usize::from(first));
         place.zip(data).for_each(|(byte, new)| *byte = *new);
-        self.judge(first, last).map_err(|_| Refusal::Value)
+        self.check(first, last).map_err(|_| Refusal::Value)
     }
 
-    /// Judge the registers in `first..=last`; tell the first that does not fit.
-    fn judge(&mut self, first: u16, last: u16) -> Result<(), Register> {
+    /// Check the registers in `first..=last`; tell the first that does not fit.
+    fn check(&mut self, first: u16, last: u16) -> Result<(), Register> {
         for register in register::TABLE.iter().filter(|register| register.meets(first, last)) {
             let fits = match register.values {
                 Values::Any => true,

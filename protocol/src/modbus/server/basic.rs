@@ -1,5 +1,5 @@
 use super::Server;
-use super::common::{Failure, bytes_of_registers, complete, echo, judge, reading};
+use super::common::{Failure, bytes_of_registers, check_range, complete, echo, reading};
 use super::view::{BitWriter, Bits, RegisterWriter, Registers};
 use crate::modbus::{
     AddressRange, COIL_OFF, COIL_ON, ExceptionCode, FunctionCode, READ_BITS_MAX, READ_REGISTERS_MAX,
@@ -23,7 +23,7 @@ pub(super) fn basic(
         AddressRange::new(u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
     match function {
         F::ReadCoils | F::ReadDiscreteInputs => {
-            judge(range, READ_BITS_MAX, data.is_empty())?;
+            check_range(range, READ_BITS_MAX, data.is_empty())?;
             let data = reading(code, packed_len(range.quantity), writer)?;
             let mut bits = BitWriter::new(data, range.quantity);
             match function {
@@ -33,7 +33,7 @@ pub(super) fn basic(
             complete(bits.remaining() == 0)?;
         }
         F::ReadHoldingRegisters | F::ReadInputRegisters => {
-            judge(range, READ_REGISTERS_MAX, data.is_empty())?;
+            check_range(range, READ_REGISTERS_MAX, data.is_empty())?;
             let data = reading(code, bytes_of_registers(range.quantity), writer)?;
             let mut registers = RegisterWriter::new(data);
             match function {
@@ -76,6 +76,6 @@ pub(super) fn basic(
 /// The values of a write of many: `data` is their byte count, which is to be `bytes`, and as many bytes.
 fn counted(range: AddressRange, max: u16, bytes: usize, data: &[u8]) -> Result<&[u8], ExceptionCode> {
     let (count, values) = data.split_first().ok_or(ExceptionCode::IllegalDataValue)?;
-    judge(range, max, values.len() == bytes && usize::from(*count) == bytes)?;
+    check_range(range, max, values.len() == bytes && usize::from(*count) == bytes)?;
     Ok(values)
 }

@@ -1,4 +1,4 @@
-//! What the parts of the server share: why there is no response, and how a response is begun, judged and ended.
+//! What the parts of the server share: why there is no response, and how a response is begun, checked and ended.
 
 use crate::error::error_text;
 use crate::modbus::rtu::FrameError;
@@ -123,7 +123,7 @@ pub(crate) fn reading<'w>(
 }
 
 /// Quantity and what depends on it (exception 03), then the address (exception 02).
-pub(super) fn judge(range: AddressRange, max: u16, fits: bool) -> Result<(), ExceptionCode> {
+pub(super) fn check_range(range: AddressRange, max: u16, fits: bool) -> Result<(), ExceptionCode> {
     if range.quantity == 0 || range.quantity > max || !fits {
         return Err(ExceptionCode::IllegalDataValue);
     }

@@ -1,5 +1,5 @@
 use super::Server;
-use super::common::{Failure, bytes_of_registers, complete, judge, reading};
+use super::common::{Failure, bytes_of_registers, check_range, complete, reading};
 use super::view::{RegisterWriter, Registers};
 use crate::modbus::identification::{self, MEI_TYPE, OBJECT_MAX, ObjectId, ReadDeviceIdCode};
 use crate::modbus::{
@@ -14,8 +14,8 @@ pub(super) fn extended(server: &mut impl Server, pdu: &[u8], writer: &mut Writer
     if let Request::ReadWriteMultipleRegisters { read, write, data } = request {
         let fits = data.len() == bytes_of_registers(write.quantity)
             && (1..=READ_REGISTERS_MAX).contains(&read.quantity);
-        judge(write, READ_WRITE_REGISTERS_MAX, fits)?;
-        judge(read, READ_REGISTERS_MAX, true)?;
+        check_range(write, READ_WRITE_REGISTERS_MAX, fits)?;
+        check_range(read, READ_REGISTERS_MAX, true)?;
         let mut registers =
             RegisterWriter::new(reading(function.code(), bytes_of_registers(read.quantity), writer)?);
         server.read_write_registers(write, Registers::new(data), read, &mut registers)?;

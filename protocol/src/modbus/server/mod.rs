@@ -1,11 +1,11 @@
 //! The server's side of Modbus.
 //!
 //! [`Server`] is the trait for an owner of coils, inputs and registers: [`rtu`], [`ascii`] and [`tcp`] turn the frame
-//! of a request into the frame of its response, [`respond`] does so for the data unit alone. A request is judged
+//! of a request into the frame of its response, [`respond`] does so for the data unit alone. A request is checked
 //! whole before the owner is called, once, and the response is written where it is sent from. [`RamTables`] is an
 //! owner with tables in memory.
 //!
-//! [`serve_rtu`] and [`serve_ascii`] are what the device dispatchers of this crate use, which judge requests by their
+//! [`serve_rtu`] and [`serve_ascii`] are what the device dispatchers of this crate use, which check requests by their
 //! own manuals.
 
 mod basic;
@@ -31,8 +31,8 @@ use crate::modbus::{AddressRange, DiagnosticSubfunction, ExceptionCode, Function
 /// An owner of coils, inputs and registers. What it does not have it leaves out: its function codes are answered with
 /// exception 01.
 ///
-/// A request makes one call. Quantity, byte count and coil value have been judged (exception 03), and no range passes
-/// 0xFFFF; the owner judges the addresses ([`ExceptionCode::IllegalDataAddress`]), the values
+/// A request makes one call. Quantity, byte count and coil value have been checked (exception 03), and no range passes
+/// 0xFFFF; the owner checks the addresses ([`ExceptionCode::IllegalDataAddress`]), the values
 /// ([`ExceptionCode::IllegalDataValue`]) and what it has behind them ([`ExceptionCode::ServerDeviceFailure`] for a
 /// fault, [`ExceptionCode::ServerDeviceBusy`] for later), *before* it changes anything: a write is all or nothing.
 /// A read that hands over fewer values than were asked for is answered with exception 04: none is made up.
@@ -101,7 +101,7 @@ pub trait Server {
         Err(ExceptionCode::IllegalFunction)
     }
 
-    /// Function code 17: writes registers, then reads registers (6.17). Both ranges are to be judged first.
+    /// Function code 17: writes registers, then reads registers (6.17). Both ranges are to be checked first.
     fn read_write_registers(
         &mut self,
         write: AddressRange,

@@ -19,7 +19,7 @@ pub fn serve_rtu<'b>(
     let Frame { unit, pdu } = Frame::decode(frame).map_err(NoResponse::Frame)?;
     // the CRC must find room after what was asked has been done
     let room = out.len().checked_sub(CRC_LENGTH).ok_or(NoResponse::NoSpace)?;
-    let used = judge(unit, pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
+    let used = answer(unit, pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
     let frame = out.get_mut(..used.saturating_add(CRC_LENGTH)).ok_or(NoResponse::NoSpace)?;
     checksum::close(frame);
     Ok(frame)
@@ -37,12 +37,12 @@ pub fn serve_ascii<'b>(
 ) -> Result<&'b [u8], NoResponse> {
     // bytes become characters after what was asked has been done
     let room = ascii::content_length(out.len());
-    let used = judge(frame.unit, frame.pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
+    let used = answer(frame.unit, frame.pdu, audience, dispatch, out.get_mut(..room).unwrap_or(&mut []))?;
     ascii::spread(out, used).map_err(|NoSpace| NoResponse::NoSpace)
 }
 
 /// Writes unit address and data unit of the response; its length.
-fn judge(
+fn answer(
     unit: u8,
     pdu: &[u8],
     audience: impl FnOnce(u8) -> Destination,

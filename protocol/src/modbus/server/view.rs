@@ -19,7 +19,7 @@ impl<'a> Registers<'a> {
         self.0.len()
     }
 
-    /// Whether there are none: never so in a request that was judged.
+    /// Whether there are none: never so in a request that was checked.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -104,7 +104,7 @@ impl<'a> Bits<'a> {
         self.quantity
     }
 
-    /// Whether there are none: never so in a request that was judged.
+    /// Whether there are none: never so in a request that was checked.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.quantity == 0

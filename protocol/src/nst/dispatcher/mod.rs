@@ -143,7 +143,7 @@ impl<H: Hardware> Daq<H> {
         body: &[u8],
         data: &'b mut [u8],
     ) -> Result<Response<'b>, NoResponse> {
-        let request = self.judge(address, body)?;
+        let request = self.check(address, body)?;
         let result = self.dispatch(&request, data);
         if address == BROADCAST {
             return Err(NoResponse::Broadcast(result.err()));
@@ -152,7 +152,7 @@ impl<H: Hardware> Daq<H> {
     }
 
     /// Whether a body is a request to this device.
-    fn judge<'r>(&self, address: u8, body: &'r [u8]) -> Result<Request<'r>, NoResponse> {
+    fn check<'r>(&self, address: u8, body: &'r [u8]) -> Result<Request<'r>, NoResponse> {
         if address != self.active.address && address != BROADCAST {
             return Err(NoResponse::OtherAddress);
         }
@@ -172,7 +172,7 @@ impl<H: Hardware> Daq<H> {
         (before, behind): (usize, usize),
         out: &'b mut [u8],
     ) -> Result<&'b mut [u8], NoResponse> {
-        let request = self.judge(address, body)?;
+        let request = self.check(address, body)?;
         if address == BROADCAST {
             return Err(NoResponse::Broadcast(self.carry_out(&request, &mut []).err()));
         }
@@ -187,7 +187,7 @@ impl<H: Hardware> Daq<H> {
         Ok(frame)
     }
 
-    /// Judges a request whole, then carries it out whole. What a read reads is put into `data`.
+    /// Checks a request whole, then carries it out whole. What a read reads is put into `data`.
     ///
     /// # Errors
     /// [`Refusal`], and nothing has changed.

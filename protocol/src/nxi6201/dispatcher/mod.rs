@@ -115,7 +115,7 @@ impl<H: Hardware> Card<H> {
         serve_rtu(frame, audience, |_, request, writer| self.answer(request, writer), out)
     }
 
-    /// Judges a request whole, then carries it out whole; the data unit of the response, written into `out`.
+    /// Checks a request whole, then carries it out whole; the data unit of the response, written into `out`.
     ///
     /// Exceptions (the manual names none): 01 for other function codes, 02 for odd or unmapped addresses and odd
     /// counts, 03 for values outside their set or range, 04 where the hardware fails.
@@ -129,7 +129,7 @@ impl<H: Hardware> Card<H> {
     fn answer(&mut self, request: &Request<'_>, writer: &mut Writer<'_>) -> Result<(), Failure> {
         match *request {
             Request::ReadHoldingRegisters(range) => {
-                judge(range, READ_REGISTERS_MAX)?;
+                check_range(range, READ_REGISTERS_MAX)?;
                 let length = usize::from(range.quantity).saturating_mul(2);
                 let data = reading(request.function().code(), length, writer)?;
                 let mut address = range.start;
@@ -142,7 +142,7 @@ impl<H: Hardware> Card<H> {
                 Ok(())
             }
             Request::WriteMultipleRegisters { range, data } => {
-                judge(range, WRITE_REGISTERS_MAX)?;
+                check_range(range, WRITE_REGISTERS_MAX)?;
                 if data.len() != usize::from(range.quantity).saturating_mul(2) {
                     return Err(ExceptionCode::IllegalDataValue.into());
                 }
@@ -174,7 +174,7 @@ impl<H: Hardware> Card<H> {
 }
 
 /// Quantity (exception 03), then whether there are whole pairs of registers (exception 02).
-fn judge(range: AddressRange, max: u16) -> Result<(), ExceptionCode> {
+fn check_range(range: AddressRange, max: u16) -> Result<(), ExceptionCode> {
     if range.quantity == 0 || range.quantity > max {
         return Err(ExceptionCode::IllegalDataValue);
     }
@@ -226,7 +226,7 @@ impl<'a> Change<'a> {
         Some(channel)
     }
 
-    /// Takes values of two registers each, and judges what they leave behind.
+    /// Takes values of two registers each, and checks what they leave behind.
     fn write_all(&mut self, mut address: u16, data: &[u8]) -> Result<(), ExceptionCode> {
         let mut fits = true;
         for words in data.as_chunks::<4>().0 {
@@ -236,11 +236,11 @@ impl<'a> Change<'a> {
             fits &= self.write(register, u32::from_be_bytes([a, b, c, d])).is_some();
             address = address.wrapping_add(2);
         }
-        let fits = fits && self.judge().is_some();
+        let fits = fits && self.check().is_some();
         if fits { Ok(()) } else { Err(ExceptionCode::IllegalDataValue) }
     }
 
-    /// Takes one value; `None` where it is outside its set. Limits of ranges are judged at the end.
+    /// Takes one value; `None` where it is outside its set. Limits of ranges are checked at the end.
     fn write(&mut self, register: Register, value: u32) -> Option<()> {
         match register {
             Register::Range(index) => self.channel(index)?.range = OutputRange::from_value(value)?,
@@ -272,10 +272,10 @@ impl<'a> Change<'a> {
         Some(())
     }
 
-    /// Judges what the write leaves behind; `None` where a value that it names does not fit its range.
+    /// Checks what the write leaves behind; `None` where a value that it names does not fit its range.
     /// A value that it does not name and that no longer fits becomes 0: an output never jumps to a value that nobody
     /// asked for in that unit.
-    fn judge(&mut self) -> Option<()> {
+    fn check(&mut self) -> Option<()> {
         for (index, channel) in self.settings.channels.iter_mut().enumerate() {
             if self.channels.get(index)?.is_some() {
                 let Channel { range, start_range, .. } = *channel;

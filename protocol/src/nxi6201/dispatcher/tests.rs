@@ -88,7 +88,7 @@ fn addresses_and_counts() {
 }
 
 #[test]
-fn a_write_is_all_or_nothing_and_judged_by_what_it_leaves() {
+fn a_write_is_all_or_nothing_and_checked_by_what_it_leaves() {
     let mut card = card();
     let before = *card.settings();
     assert_eq!(write(&mut card, 2, &[2, 150f32.to_bits(), 2]), Err(VALUE), "output is 0 or 1");

@@ -2,7 +2,7 @@
 
 use jointbus_protocol::checksum;
 use jointbus_protocol::time::{Duration, Instant};
-use jointbus_protocol::wire::{Reader, Writer, close_gap};
+use jointbus_protocol::wire::{Reader, Writer};
 
 use crate::opaque::{any, buffer, byte, bytes, moment, sink, size, span, word};
 
@@ -48,7 +48,6 @@ fn writer() {
         sink(checksum::append_crc(&mut writer));
         sink(writer.written());
         sink(writer.finish());
-        close_gap(space, size());
     });
 }
 
