@@ -1,8 +1,8 @@
 //! Other boards than the reference board: what this one file says of them is all that there is to say.
 
 use jointbus_mcu_bridge::board::{
-    Board, Description, InputsOutputs, Limits, LocalUnits, Outputs, Port, PortConfig, PortDescription,
-    PortKind, Protocol, Route, Target, Topology, UartClock,
+    Board, Description, Identification, InputsOutputs, Limits, LocalUnits, Outputs, Port, PortConfig,
+    PortDescription, PortKind, Protocol, Route, Target, Topology, UartClock,
 };
 use jointbus_mcu_bridge::engine::{Action, AnyEngine, Engine, Identity, ResetCause, STORED_LENGTH, Settings};
 use jointbus_mcu_bridge::registers::{self, command};
@@ -29,6 +29,7 @@ impl Board for Small {
     const DESCRIPTION: &'static Description = &Description {
         number: 0x8001,
         name: "small",
+        identification: Identification { vendor: "Somebody", ..Identification::JOINTBUS },
         ports: &[serial("host", UartClock::ANY), serial("rs485", UartClock::ANY)],
         local: <() as LocalUnits>::KINDS,
         routes: &[
@@ -48,6 +49,7 @@ impl Board for Large {
     const DESCRIPTION: &'static Description = &Description {
         number: 0x8002,
         name: "large",
+        identification: Identification::JOINTBUS,
         ports: &[
             serial("host", UartClock::ANY),
             serial("rs485-a", UartClock { hz: 16_000_000, divisor_min: 16, divisor_max: 0xFFFF }),
@@ -147,6 +149,15 @@ fn defaults_are_those_of_the_board() {
     assert_eq!((settings.limits.quarantine_after, settings.topology.routes[0].first_address), (5, 11));
     assert_eq!(settings.topology, Topology::of(Small::DESCRIPTION));
     assert_eq!(Settings::decode(&stored, Large::DESCRIPTION), None, "another board's");
+}
+
+#[test]
+fn a_board_has_its_own_name_for_the_host() {
+    let mut engine = small();
+    let vendor =
+        Request::Other { function: modbus::FunctionCode::EncapsulatedInterface, data: &[0x0E, 4, 0] };
+    let answer = ask(&mut *engine, BRIDGE, &vendor, START);
+    assert_eq!(answer[answer.len() - 12..answer.len() - 2], *b"\x00\x08Somebody");
 }
 
 #[test]

@@ -19,6 +19,29 @@ pub struct PortDescription {
     pub default: PortConfig,
 }
 
+/// What a board calls itself where the host asks for device identification (2B/0E).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Identification {
+    /// Object 0: the vendor.
+    pub vendor: &'static str,
+    /// Object 1: the product's code.
+    pub product_code: &'static str,
+    /// Object 4: the product's name.
+    pub product_name: &'static str,
+    /// Object 5: the model.
+    pub model_name: &'static str,
+}
+
+impl Identification {
+    /// The name of a board that has none of its own.
+    pub const JOINTBUS: Self = Self {
+        vendor: "Jointbus",
+        product_code: "jointbus-mcu-bridge",
+        product_name: "Jointbus",
+        model_name: "NST, NXI-6201 and NDAM-9010 bridge",
+    };
+}
+
 /// What a board says of itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Description {
@@ -26,6 +49,8 @@ pub struct Description {
     pub number: u16,
     /// Its name in documents and tools.
     pub name: &'static str,
+    /// Its name for the host.
+    pub identification: Identification,
     /// The host's port, then the serial buses, then the CAN buses.
     pub ports: &'static [PortDescription],
     /// The board's own units in the order of their targets: [`LocalUnits::KINDS`].
@@ -50,6 +75,7 @@ pub struct Description {
 ///     const DESCRIPTION: &'static Description = &Description {
 ///         number: 0x8000,
 ///         name: "sensors",
+///         identification: Identification { product_name: "Joint 3", ..Identification::JOINTBUS },
 ///         ports: &[
 ///             PortDescription {
 ///                 name: "host",

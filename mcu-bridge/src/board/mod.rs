@@ -10,7 +10,7 @@ mod port;
 mod route;
 mod topology;
 
-pub use description::{Board, Description, PortDescription, TARGETS_MAX};
+pub use description::{Board, Description, Identification, PortDescription, TARGETS_MAX};
 pub use limits::Limits;
 pub use local::{Analog, InputsOutputs, LocalKind, LocalUnit, LocalUnits, Outputs};
 pub use port::{PORTS_MAX, Parity, Port, PortConfig, PortKind, UartClock};

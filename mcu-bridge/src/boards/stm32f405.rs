@@ -1,8 +1,8 @@
 //! The reference board: an STM32F405 with a host port, two RS485 buses, a CAN bus, and inputs and outputs of its own.
 
 use crate::board::{
-    Board, Description, InputsOutputs, Limits, LocalUnits, Outputs, Port, PortConfig, PortDescription,
-    PortKind, Protocol, Route, Target, UartClock,
+    Board, Description, Identification, InputsOutputs, Limits, LocalUnits, Outputs, Port, PortConfig,
+    PortDescription, PortKind, Protocol, Route, Target, UartClock,
 };
 use crate::engine;
 use jointbus_protocol::ndam9010::Layout;
@@ -52,6 +52,7 @@ impl Board for Stm32f405 {
     const DESCRIPTION: &'static Description = &Description {
         number: 1,
         name: "stm32f405",
+        identification: Identification::JOINTBUS,
         ports: &[
             serial("host", 2 * PCLK1_HZ, PortConfig::serial(921_600, 0)),
             serial("rs485-a", PCLK1_HZ, PortConfig::serial(115_200, 0)),

@@ -6,7 +6,7 @@ use super::counters::Counters;
 use super::identity::Health;
 use super::polling::Slot;
 use super::settings::SlotSettings;
-use crate::board::{Description, LocalKind, PORTS_MAX, PortKind, ROUTES, Target};
+use crate::board::{Description, Identification, LocalKind, PORTS_MAX, PortKind, ROUTES, Target};
 use crate::registers::{self, Access, Field, SLOTS, Space, command};
 use jointbus_protocol::modbus::identification::{ConformityLevel, ObjectId};
 use jointbus_protocol::modbus::server::{self, RegisterWriter, Registers, Server};
@@ -108,14 +108,17 @@ impl Server for Management<'_> {
     }
 
     fn identification(&self, object: ObjectId) -> Option<&[u8]> {
-        match object {
-            ObjectId::VendorName | ObjectId::ProductName => Some(b"Jointbus"),
-            ObjectId::ProductCode => Some(b"jointbus-mcu-bridge"),
-            ObjectId::MajorMinorRevision => Some(env!("CARGO_PKG_VERSION").as_bytes()),
-            ObjectId::ModelName => Some(b"NST, NXI-6201 and NDAM-9010 bridge"),
-            ObjectId::UserApplicationName => Some(b"bridge"),
-            ObjectId::VendorUrl | ObjectId::Unknown(_) => None,
-        }
+        let Identification { vendor, product_code, product_name, model_name } = self.board.identification;
+        let text = match object {
+            ObjectId::VendorName => vendor,
+            ObjectId::ProductCode => product_code,
+            ObjectId::MajorMinorRevision => env!("CARGO_PKG_VERSION"),
+            ObjectId::ProductName => product_name,
+            ObjectId::ModelName => model_name,
+            ObjectId::UserApplicationName => "bridge",
+            ObjectId::VendorUrl | ObjectId::Unknown(_) => return None,
+        };
+        Some(text.as_bytes())
     }
 }
 
