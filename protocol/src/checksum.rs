@@ -175,7 +175,7 @@ mod tests {
     #[test]
     fn the_ways_to_the_crc_agree() {
         let bytes: [u8; 256] = core::array::from_fn(|index| (index * 167 + 13) as u8);
-        for start in 0..bytes.len() {
+        for start in (0..bytes.len()).step_by(crate::stride(17)) {
             for length in [0, 1, 2, 3, 4, 5, 6, 7, 8, 40] {
                 let Some(bytes) = bytes.get(start..start + length) else { continue };
                 assert_eq!(crc16_sliced(bytes), crc16(bytes));

@@ -297,7 +297,7 @@ mod tests {
         let expected = ExpectedResponse::new(1, &Request::ReadInputRegisters(AddressRange::new(0, 2)));
         assert_eq!(expected.lengths(), [9, 5]);
         let mut buffer = [0; FRAME_MAX];
-        for bytes in 0..=250 {
+        for bytes in (0..=250).step_by(crate::stride(4)) {
             let response =
                 Response::Read { function: FunctionCode::ReadInputRegisters, data: &[7; 250][..bytes] };
             let frame = encode_response(1, &response, &mut buffer).unwrap();
