@@ -1,4 +1,4 @@
-//! RequestFraming, correct and not, from a seed.
+//! Requests, correct and not, from a seed.
 
 use jointbus_protocol::checksum::crc16;
 

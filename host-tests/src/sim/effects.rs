@@ -22,9 +22,9 @@ pub enum Counter {
     Foreign,
     /// Bytes or frames without room.
     Overruns,
-    /// RequestFraming not sent in time.
+    /// Requests not sent in time.
     Expired,
-    /// RequestFraming refused.
+    /// Requests refused.
     Refused,
     /// Times that the controller went bus-off.
     BusOff,

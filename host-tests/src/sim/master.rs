@@ -58,7 +58,7 @@ struct Broadcast {
     to: Vec<Port>,
 }
 
-/// RequestFraming to one unit.
+/// Requests to one unit.
 #[derive(Debug, Default)]
 struct Unit {
     open: Vec<Asked>,
@@ -91,7 +91,7 @@ pub struct Master {
     pub polls: bool,
     /// What was counted.
     pub tally: Tally,
-    /// RequestFraming that may still be answered.
+    /// Requests that may still be answered.
     pub open: usize,
 }
 

@@ -5,7 +5,7 @@ use super::moment::Moment;
 /// What was counted in a run.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// RequestFraming that the bridge had to accept.
+    /// Requests that the bridge had to accept.
     pub asked: u64,
     /// Answers that belong to one of them; a device's exception is one.
     pub answered: u64,
@@ -13,7 +13,7 @@ pub struct Tally {
     pub refused: u64,
     /// NST requests that ended with silence.
     pub silent: u64,
-    /// RequestFraming to units that no route serves.
+    /// Requests to units that no route serves.
     pub unknown: u64,
     /// Copies of broadcasts that buses had to send, and that they have sent.
     pub copies: [u64; 2],

@@ -16,7 +16,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
-/// RequestFraming of one seed: few enough to repeat a failure in no time.
+/// Requests of one seed: few enough to repeat a failure in no time.
 pub const REQUESTS: u64 = 1000;
 
 /// What a property found.
