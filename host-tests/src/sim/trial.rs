@@ -3,9 +3,10 @@
 use super::effects::{Counter, Service};
 use super::fault::{Fault, Place};
 use super::moment::{MICROS, MILLIS, Moment, Nanos};
+use super::plan::{Manner, Plan};
 use super::question::Question;
 use super::random::Random;
-use super::run::{Manner, Plan, Run};
+use super::run::Run;
 use super::settings::Settings;
 use super::world::Notice;
 use jointbus_mcu_bridge::board::{Port, Route};
@@ -42,9 +43,9 @@ const LOOK: u64 = 7;
 pub struct Trial {
     /// Counters of all ports at the end; before the fault they told of traffic alone.
     pub counters: [Counters; 4],
-    /// RequestFraming.
+    /// Requests.
     pub transactions: u64,
-    /// RequestFraming without an answer.
+    /// Requests without an answer.
     pub failed: u64,
     /// What must not happen to the service.
     pub service: Vec<String>,

@@ -1,7 +1,7 @@
 //! Who gets which answer, and what reaches the devices.
 
 use super::{Found, REQUESTS, of_seeds};
-use crate::sim::run::Plan;
+use crate::sim::plan::Plan;
 use crate::sim::tally::Tally;
 use std::ops::Range;
 

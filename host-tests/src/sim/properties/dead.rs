@@ -2,8 +2,9 @@
 
 use super::{Found, of_seeds};
 use crate::sim::moment::{MILLIS, Moment, Nanos, SECONDS};
+use crate::sim::plan::Plan;
 use crate::sim::random::Random;
-use crate::sim::run::{Plan, Run};
+use crate::sim::run::Run;
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
 use jointbus_mcu_bridge::board::Port;

@@ -1,0 +1,216 @@
+//! What goes wrong on the host's line.
+
+use super::{BURST_ENDS, Run, SILENCE};
+use crate::sim::fault::Fault;
+use crate::sim::master::is_nst;
+use crate::sim::moment::{MILLIS, Moment};
+use crate::sim::question::Question;
+use crate::sim::random::Random;
+use crate::sim::station::{flip_bits, reseal};
+use jointbus_mcu_bridge::board::Topology;
+use jointbus_mcu_bridge::boards::stm32f405::BOARD;
+use jointbus_protocol::decode::STRAY_MAX;
+use jointbus_protocol::modbus::{self, AddressRange, rtu};
+use jointbus_protocol::nst::serial::encode_request;
+use jointbus_protocol::{checksum, nst};
+
+impl Run<'_> {
+    /// One whose frame ends without silence.
+    fn plain_question(&mut self) -> (u8, Question) {
+        loop {
+            let (unit, question) = self.next_question();
+            if !question.ends_with_silence() {
+                return (unit, question);
+            }
+        }
+    }
+
+    /// Brings a fault of the host's line about; when its last byte ends.
+    pub fn host_fault(&mut self, fault: Fault) -> Moment {
+        let (unit, question) = self.plain_question();
+        let frame = question.frame(unit);
+        let cut = 1 + self.random.index(frame.len() - 1);
+        match fault {
+            Fault::HostShortPause => {
+                self.world.host_sends(&frame[..cut]);
+                self.world.host_pauses(self.random.between(1, 15) * MILLIS);
+                let at = self.world.host_sends(&frame[cut..]);
+                self.master.ask(unit, question, at);
+                at
+            }
+            Fault::HostGlued => {
+                let at = self.world.host_sends(&frame);
+                self.master.ask(unit, question, at);
+                let (unit, question) = self.plain_question();
+                self.ask(unit, question)
+            }
+            Fault::HostStrayBytes => {
+                let bytes = self.harmless(
+                    |run| {
+                        let stray = 1 + run.random.index(STRAY_MAX);
+                        let stray: Vec<u8> = (0..stray).map(|_| run.random.byte()).collect();
+                        [&stray[..], &frame].concat()
+                    },
+                    &frame,
+                );
+                let at = self.world.host_sends(&bytes);
+                // taken when the line has been silent
+                self.master.ask(unit, question, at.saturating_add(BURST_ENDS));
+                at
+            }
+            Fault::HostLongPause => {
+                let bytes = self.harmless(|_| frame[cut..].to_vec(), &[]);
+                self.spoilt(&frame[..cut]);
+                self.world.host_pauses(SILENCE + MILLIS);
+                self.spoilt(&bytes)
+            }
+            Fault::HostFraming => {
+                let bytes = self.harmless(
+                    |run| {
+                        let mut bytes = frame.clone();
+                        bytes[cut] ^= 1 + run.random.below(255) as u8;
+                        bytes
+                    },
+                    &[],
+                );
+                self.spoilt(&bytes[..cut]);
+                self.world.host_sends_unframed(bytes[cut]);
+                self.world.host_sends(&bytes[cut + 1..])
+            }
+            // their CRC is right, and nobody takes them for all that
+            Fault::HostUnknownUnit | Fault::HostUnknownFunction => {
+                let bytes = self.broken(fault, &frame);
+                self.spoilt(&bytes)
+            }
+            Fault::HostHiddenCommand | Fault::HostHiddenBehind | Fault::HostStrayBroadcast => {
+                self.master.tally.hidden += 1;
+                let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
+                self.spoilt(&bytes)
+            }
+            _ => {
+                let bytes = self.harmless(|run| run.broken(fault, &frame), &[]);
+                self.spoilt(&bytes)
+            }
+        }
+    }
+
+    /// Sends bytes in which there is no request.
+    fn spoilt(&mut self, bytes: &[u8]) -> Moment {
+        let unit = bytes.first().copied().unwrap_or(0);
+        let known = unit == 0 || unit == u8::MAX || self.network.route(unit).is_some();
+        self.master.tally.unknown += u64::from(!known && !bytes.is_empty());
+        self.world.host_sends(bytes)
+    }
+
+    /// Bytes in which no CRC is right by coincidence, except that of `meant` at the end and of what is hidden too deep.
+    fn harmless(&mut self, mut make: impl FnMut(&mut Self) -> Vec<u8>, meant: &[u8]) -> Vec<u8> {
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let bytes = make(self);
+            let coincidence = (0..=STRAY_MAX).any(|start| {
+                let end_of = |end: usize| bytes.get(start..end).and_then(checksum::strip_crc).is_some();
+                let is_meant = |end: usize| end == bytes.len() && bytes.get(start..) == Some(meant);
+                // a broadcast behind stray bytes is right, and not to be taken
+                let broadcast = start > 0 && bytes.get(start).is_some_and(|byte| [0, u8::MAX].contains(byte));
+                !broadcast && (start + 4..=bytes.len()).any(|end| end_of(end) && !is_meant(end))
+            });
+            // some frames have a right CRC inside, whatever comes before them: their length byte says that it is none
+            if !coincidence || tries > 100 {
+                return bytes;
+            }
+        }
+    }
+
+    /// What a fault makes of a request.
+    fn broken(&mut self, fault: Fault, frame: &[u8]) -> Vec<u8> {
+        let mut bytes = frame.to_vec();
+        let end = bytes.len() - 1;
+        let mut noise = |least, most| -> Vec<u8> {
+            (0..self.random.between(least, most)).map(|_| self.random.byte()).collect()
+        };
+        match fault {
+            Fault::HostGarbage => bytes = noise(1, 300),
+            Fault::HostOverlong => {
+                bytes.truncate(2);
+                bytes.extend(noise(260, 600));
+            }
+            Fault::HostCut => bytes.truncate(1 + self.random.index(end)),
+            Fault::HostWrongCrc => bytes[end] ^= 1 << self.random.below(8),
+            Fault::HostBits => flip_bits(&mut bytes, &mut self.random),
+            Fault::HostUnknownUnit => {
+                bytes[0] = 100 + self.random.below(100) as u8;
+                reseal(&mut bytes);
+            }
+            Fault::HostUnknownFunction => {
+                let unit = self.random.between(16, 20) as u8;
+                let function = self.random.pick(&[0x00, 0x01, 0x04, 0x06, 0x11, 0x7F, 0x83]);
+                bytes = vec![unit, function, 0, 0, 4, 0, 0];
+                reseal(&mut bytes);
+            }
+            Fault::HostStrayBroadcast => {
+                let stray = 1 + self.random.index(STRAY_MAX);
+                bytes = (0..stray).map(|_| self.random.between(1, 254) as u8).collect();
+                let unit = self.random.pick(&[0, u8::MAX]);
+                bytes.extend(hidden_command(unit, &mut self.random));
+            }
+            Fault::HostHiddenCommand | Fault::HostHiddenBehind => {
+                bytes = self.hiding(fault == Fault::HostHiddenBehind);
+            }
+            _ => {}
+        }
+        bytes
+    }
+
+    /// A write that is wrong, with a command in its data that is right.
+    fn hiding(&mut self, behind: bool) -> Vec<u8> {
+        let inner = self.random.pick(&[1, 3, 16, 18, 31, 32, 33, 40, 247]);
+        let mut data: Vec<u8> = (0..self.random.below(8)).map(|_| self.random.byte()).collect();
+        data.extend(hidden_command(inner, &mut self.random));
+        if self.random.below(2) == 0 && !behind {
+            data.extend((0..self.random.below(8)).map(|_| self.random.byte()));
+        }
+        if data.len() % 2 == 1 {
+            data.insert(0, 0x33);
+        }
+        let mut buffer = [0; rtu::FRAME_MAX];
+        let mut bytes = match self.random.below(2) {
+            0 => {
+                let request = nst::Request::Write { register: 0, data: &data };
+                encode_request(17, &request, &mut buffer).unwrap_or(&[]).to_vec()
+            }
+            _ => {
+                let range = AddressRange::new(0x60, (data.len() / 2) as u16);
+                let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
+                rtu::encode_request(33, &request, &mut buffer).unwrap_or(&[]).to_vec()
+            }
+        };
+        let end = bytes.len() - 1;
+        if behind {
+            // what follows the frame that the length byte tells is the command, up to the end
+            bytes.truncate(end - 1);
+            let length = if bytes[0] == 17 { 4 } else { 6 };
+            bytes[length] = self.random.below(4) as u8 & !1;
+        } else {
+            bytes[end] ^= 0x40;
+        }
+        bytes
+    }
+}
+
+/// A valid write of a number that nobody asked for.
+fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
+    let mut buffer = [0; rtu::FRAME_MAX];
+    let token = 0xEE00_0000 | random.next() as u32 & 0x00FF_FFFF;
+    let network = Topology::of(BOARD);
+    if unit == u8::MAX || is_nst(&network, unit) {
+        let request = nst::Request::Write { register: 0, data: &token.to_be_bytes() };
+        encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
+    } else {
+        let request = modbus::Request::WriteMultipleRegisters {
+            range: AddressRange::new(if unit == 247 { 0 } else { 0x60 }, 2),
+            data: &token.to_be_bytes(),
+        };
+        rtu::encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
+    }
+}
