@@ -16,10 +16,13 @@ pub(crate) struct Repeat {
     /// Everything random follows from it
     #[arg(long, required_unless_present_any = ["list", "table"])]
     seed: Option<u64>,
+    /// The board: stm32f405, small or large; unless given, the one whose turn it is in a soak
+    #[arg(long, value_name = "NAME", conflicts_with = "alone")]
+    board: Option<String>,
     /// Only this kind of fault; can be given more than once
     #[arg(long, value_name = "KIND")]
     kind: Vec<String>,
-    /// This kind of fault, once, in clean traffic
+    /// This kind of fault, once, in clean traffic on the reference board
     #[arg(long, value_name = "KIND", conflicts_with_all = ["kind", "hiding", "pcap"])]
     alone: Option<String>,
     /// Mostly broken bursts with a command inside
@@ -62,6 +65,9 @@ pub(crate) fn repeat(workspace: &Workspace, what: &Repeat) -> Result<()> {
         }
         (Some(seed), None) if !what.list => {
             command.args(["run", "--seed", &seed.to_string(), "--requests", &what.requests.to_string()]);
+            if let Some(board) = &what.board {
+                command.args(["--board", board]);
+            }
             what.kind.iter().for_each(|kind| {
                 command.args(["--kind", kind]);
             });

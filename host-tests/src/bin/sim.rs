@@ -3,8 +3,7 @@
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
 use jointbus_host_tests::sim::properties::{self, Found};
-use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, Trial};
-use jointbus_mcu_bridge::io::serial::UartBuffers;
+use jointbus_host_tests::sim::{Fault, Plan, Run, SECONDS, SimBoard, Trial};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -23,6 +22,9 @@ enum Command {
         /// Everything random follows from it
         #[arg(long)]
         seed: u64,
+        /// The board: stm32f405, small or large; unless given, the one whose turn it is in a soak
+        #[arg(long, value_name = "NAME", value_parser = board)]
+        board: Option<SimBoard>,
         /// Only this kind of fault; can be given more than once
         #[arg(long, value_name = "KIND", value_parser = kind)]
         kind: Vec<Fault>,
@@ -64,11 +66,22 @@ fn kind(name: &str) -> Result<Fault, String> {
     Fault::of_name(name).ok_or_else(|| "`cargo xtask sim --list` lists the kinds".to_owned())
 }
 
+fn board(name: &str) -> Result<SimBoard, String> {
+    SimBoard::of_name(name).ok_or_else(|| {
+        let names = SimBoard::ALL.map(|board| board.name());
+        format!("the boards are {}", names.join(", "))
+    })
+}
+
 fn main() -> Result<()> {
     match Arguments::parse().command {
-        Command::Run { seed, hiding: true, requests, pcap, .. } => run(Plan::hiding(seed, requests), pcap),
-        Command::Run { seed, kind, requests, pcap, .. } => {
-            run(Plan::of_seed(seed, requests, (!kind.is_empty()).then_some(&kind)), pcap)
+        Command::Run { seed, board, kind, hiding, requests, pcap } => {
+            let board = board.unwrap_or_else(|| SimBoard::of_seed(seed));
+            let plan = match hiding {
+                true => Plan::hiding(board, seed, requests),
+                false => Plan::of_seed(board, seed, requests, (!kind.is_empty()).then_some(&kind)),
+            };
+            run(plan, pcap)
         }
         Command::Soak { seed, seeds } => soak(seed, seeds),
         Command::Alone { seed, kind } => alone(kind, seed),
@@ -87,10 +100,13 @@ fn main() -> Result<()> {
 
 fn run(plan: Plan, pcap: Option<PathBuf>) -> Result<()> {
     println!(
-        "seed {}: {:?}, faults before {} of a million requests",
-        plan.settings.seed, plan.manner, plan.fault_rate
+        "seed {}, board {}: {:?}, faults before {} of a million requests",
+        plan.settings.seed,
+        plan.settings.board.name(),
+        plan.manner,
+        plan.fault_rate
     );
-    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
+    let mut queues = plan.settings.board.queues();
     let mut run = Run::new(plan, &mut queues);
     if pcap.is_some() {
         run.world.record();
@@ -136,23 +152,26 @@ fn soak(seed: u64, seeds: u64) -> Result<()> {
         found.violations.iter().for_each(|violation| println!("    {violation}"));
     };
     let started = Instant::now();
-    let found = properties::answers(seed..seed + 2 * seeds);
+    let found = properties::answers(SimBoard::of_seed, seed..seed + 2 * seeds);
     tell(started, "no wrong answer, all counted, nothing late, nothing twice", &found);
     let started = Instant::now();
-    let found = properties::hidden_commands(seed..seed + 2 * seeds);
+    let found = properties::hidden_commands(SimBoard::of_seed, seed..seed + 2 * seeds);
     tell(started, "no bytes inside a frame are executed", &found);
     let started = Instant::now();
     let [counters, service] = properties::each_fault_alone(seed..seed + seeds.div_ceil(4));
     tell(started, "each kind of fault raises its counters and no others", &counters);
     tell(started, "the service returns within the bound of each kind of fault", &service);
     let started = Instant::now();
-    let found = properties::dead_devices(seed..seed + seeds.div_ceil(10));
+    let found = properties::dead_devices(SimBoard::of_seed, seed..seed + seeds.div_ceil(10));
     tell(started, "a dead device costs the others little", &found);
-    let started = Instant::now();
-    let span = (4 * seeds * SECONDS).min(3600 * SECONDS);
-    let [calm, rough] = properties::polling_both(seed, span);
-    tell(started, "polling with 1000 Hz misses nothing", &calm);
-    tell(started, "polling with 1000 Hz counts what faults make it miss", &rough);
+    for board in [SimBoard::STM32F405, SimBoard::LARGE] {
+        let started = Instant::now();
+        let span = (4 * seeds * SECONDS).min(3600 * SECONDS);
+        let [calm, rough] = properties::polling_both(board, seed, span);
+        let name = board.name();
+        tell(started, &format!("polling with 1000 Hz misses nothing on {name}"), &calm);
+        tell(started, &format!("polling with 1000 Hz counts what faults make it miss on {name}"), &rough);
+    }
     if violated > 0 {
         bail!("{violated} violations");
     }

@@ -3,7 +3,6 @@
 use super::fault::Fault;
 use super::world::TO_BUS_OFF;
 use jointbus_mcu_bridge::board::Port;
-use jointbus_mcu_bridge::boards::stm32f405::BOARD;
 use jointbus_mcu_bridge::engine::Counters;
 use std::fmt::Write as _;
 
@@ -308,9 +307,10 @@ impl Fault {
 
     /// What is wrong with the counters of a bridge after this fault alone, on that bus or on the host's line.
     #[must_use]
-    pub fn misjudged(self, bus: Port, echo: bool, counters: &[Counters; 4]) -> Vec<String> {
+    pub fn misjudged(self, bus: Port, echo: bool, counters: &[Counters]) -> Vec<String> {
         let port_of = |at: At| if at == Host { Port::HOST } else { bus };
         let value = |port: Port, counter: Counter| counter.of(&counters[port.index()]);
+        let ports = (0..counters.len() as u8).map(Port::new);
         let mut wrong = Vec::new();
         for Raise(at, together, times) in self.raises() {
             let sum: u32 = together.iter().map(|counter| value(port_of(*at), *counter)).sum();
@@ -330,7 +330,7 @@ impl Fault {
                 ));
             }
         }
-        for (port, counter) in BOARD.ports().flat_map(|port| Counter::ALL.map(|it| (port, it))) {
+        for (port, counter) in ports.flat_map(|port| Counter::ALL.map(|it| (port, it))) {
             let named = |Raise(at, together, _): &Raise| port_of(*at) == port && together.contains(&counter);
             if value(port, counter) > 0 && !self.raises().iter().any(named) {
                 wrong.push(format!("{port:?} {}: {}, not 0", counter.name(), value(port, counter)));

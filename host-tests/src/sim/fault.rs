@@ -5,7 +5,7 @@
 pub enum Place {
     /// On an RS485 line or at a device there.
     Serial,
-    /// On the CAN bus or at a device there.
+    /// On a CAN bus or at a device there.
     Can,
     /// On the host's line.
     Host,

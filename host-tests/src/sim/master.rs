@@ -2,22 +2,22 @@
 
 mod wires;
 
+use super::boards::SimBoard;
 use super::moment::{MILLIS, Moment, Nanos};
 use super::question::{Fit, Question};
+use super::routes::{is_nst, port_of, speaks_modbus, speaks_nst, unit_at};
+use super::settings::Settings;
 use super::station::SerialDevice;
 use super::tally::Tally;
 use super::world::World;
 use jointbus::devices::Order;
-use jointbus_mcu_bridge::board::{Port, Protocol, Route, Topology};
+use jointbus_mcu_bridge::board::{Port, Route, Topology};
 use jointbus_protocol::checksum;
 use jointbus_protocol::time::Instant;
 use std::collections::HashMap;
 
 /// The main loop takes notice of a time limit so much later at most: a tick and its latency.
 const NOTICED: Nanos = MILLIS / 4;
-
-/// Time that a frame on CAN may take that was begun in time.
-const FRAME: Nanos = MILLIS / 5;
 
 /// Answers wait for the host's line so long at most: for the others that the bridge keeps room for.
 const BACKLOG: Nanos = 20 * MILLIS;
@@ -46,7 +46,7 @@ struct Asked {
 #[derive(Debug, Clone, Copy, Default)]
 struct Written {
     /// Devices that carried it out, a bit each.
-    by: u64,
+    by: u128,
     broadcast: bool,
 }
 
@@ -76,15 +76,16 @@ struct Unit {
 /// The host.
 #[derive(Debug)]
 pub struct Master {
+    board: SimBoard,
     network: Topology,
     units: Vec<Unit>,
     written: HashMap<u32, Written>,
     broadcasts: Vec<Broadcast>,
-    /// The first frame of the broadcast that is on its way on CAN.
-    broadcast_head: Vec<u8>,
+    /// The first frame of the broadcast that is on its way on a CAN bus.
+    broadcast_heads: HashMap<Port, Vec<u8>>,
     incoming: Vec<u8>,
     /// When something on that port was garbled last.
-    garbled: HashMap<usize, Moment>,
+    garbled: HashMap<Port, Moment>,
     /// Health bits that the bridge told of itself, all together.
     pub health: u8,
     /// Polling slots read samples as well.
@@ -98,13 +99,14 @@ pub struct Master {
 impl Master {
     /// A host of a bridge with these routes.
     #[must_use]
-    pub fn new(network: &Topology) -> Self {
+    pub fn new(settings: &Settings) -> Self {
         Self {
-            network: *network,
+            board: settings.board,
+            network: settings.network,
             units: (0..=u8::MAX).map(|_| Unit::default()).collect(),
             written: HashMap::new(),
             broadcasts: Vec::new(),
-            broadcast_head: Vec::new(),
+            broadcast_heads: HashMap::new(),
             incoming: Vec::new(),
             garbled: HashMap::new(),
             health: 0,
@@ -144,24 +146,28 @@ impl Master {
         self.tally.asked += 1;
     }
 
-    /// Notes a broadcast of a number that is used once, which the bridge has at `at` and sends on these buses.
-    pub fn broadcast(&mut self, question: &Question, to: &[Port], at: Moment) {
+    /// Notes a broadcast of a number that is used once, which the bridge has at `at` and sends on each bus that speaks
+    /// its protocol.
+    pub fn broadcast(&mut self, question: &Question, at: Moment) {
         if let Some(token) = question.token() {
             self.written.insert(token, Written { by: 0, broadcast: true });
         }
         let nst = matches!(question, Question::Write { .. });
+        let speaks = if nst { speaks_nst } else { speaks_modbus };
+        let to: Vec<Port> =
+            self.board.description.ports().filter(|port| speaks(&self.network, *port)).collect();
         let row = self.network.routes.iter().find(|row| {
             row.is_used()
                 && row.protocol.is_nst() == nst
-                && to.iter().any(|port| port.index() == port_of(row))
+                && row.target.port().is_some_and(|port| to.contains(&port))
         });
         let expires =
             at.saturating_add(row.map_or(0, |row| u64::from(row.time_to_live_ms)) * MILLIS + NOTICED);
         let frame = question.frame(0);
         let body = frame[1..frame.len() - checksum::CRC_LENGTH].to_vec();
         self.broadcasts.retain(|before| at.saturating_duration_since(before.expires) < 1000 * MILLIS);
-        self.broadcasts.push(Broadcast { body, expires, to: to.to_vec() });
         self.tally.copies[0] += to.len() as u64;
+        self.broadcasts.push(Broadcast { body, expires, to });
     }
 
     /// Whether the same question to the same unit may still be answered: then it could not be told whose an answer is.
@@ -185,7 +191,7 @@ impl Master {
     pub fn hear(&mut self, byte: u8, world: &World<'_>) -> Option<u8> {
         self.incoming.push(byte);
         let unit = self.incoming[0];
-        let nst = self.network.route(unit).is_some_and(|(_, route)| route.protocol.is_nst());
+        let nst = is_nst(&self.network, unit);
         let length = reply_length(&self.incoming, nst)?;
         if self.incoming.len() < length {
             return None;
@@ -208,6 +214,7 @@ impl Master {
             return self.exception(unit, function & 0x7F, code, now);
         }
         let remote = self.network.route(unit).map_or(0, |(_, route)| route.remote_of(unit));
+        let port = port_of(&self.network, unit);
         let place = &mut self.units[usize::from(unit)];
         let measured = place.measured;
         let mut found = None;
@@ -226,8 +233,9 @@ impl Master {
                 Fit::At(moment) if fresh(moment) => found = Some((index, Some(moment))),
                 Fit::At(moment) => why = format!(", measured at {} us", moment.as_micros()),
                 Fit::Inputs => {
-                    let moment =
-                        told_inputs(world, remote, &asked.question, reply, asked.at.instant(), measured);
+                    let since = asked.at.instant();
+                    let device = (port, remote);
+                    let moment = told_inputs(world, device, &asked.question, reply, since, measured);
                     found = moment.map(|moment| (index, Some(moment)));
                 }
                 Fit::Wrong => {}
@@ -237,11 +245,10 @@ impl Master {
             }
         }
         let Some((index, moment)) = found else {
-            let port = self.network.route(unit).map_or(0, |(_, route)| port_of(route));
-            let garbled =
-                self.garbled.get(&port).is_some_and(|at| now.saturating_duration_since(*at) < 1000 * MILLIS);
+            let garbled = port.and_then(|port| self.garbled.get(&port));
+            let garbled = garbled.is_some_and(|at| now.saturating_duration_since(*at) < 1000 * MILLIS);
             // a device never says such a thing by itself
-            if garbled && !is_genuine(world, remote, reply) {
+            if garbled && !is_genuine(world, (port, remote), reply) {
                 self.tally.coincidences += 1;
                 place.coincidences += 1;
             } else {
@@ -288,7 +295,7 @@ impl Master {
             if place.open.iter().all(|asked| now <= asked.over) {
                 continue;
             }
-            let nst = self.network.route(unit).is_some_and(|(_, route)| route.protocol.is_nst());
+            let nst = is_nst(&self.network, unit);
             let before = place.open.len();
             if nst {
                 place.open.retain(|asked| now <= asked.over);
@@ -321,9 +328,7 @@ impl Master {
     pub fn ordered(&mut self, port: Port, address: u8, order: &Order, now: Moment) {
         self.tally.executed += 1;
         if order.value == 0 {
-            let unit = self.network.routes.iter().find(|row| row.is_used() && port_of(row) == port.index());
-            let unit =
-                unit.map_or(0, |row| row.first_unit.wrapping_add(address.wrapping_sub(row.first_address)));
+            let unit = unit_at(&self.network, port, address).unwrap_or(0);
             let left = self.units[usize::from(unit)].commands.entry(order.function).or_default();
             if *left == 0 {
                 self.tally.violation(now, || {
@@ -333,7 +338,7 @@ impl Master {
             *left = left.saturating_sub(1);
             return;
         }
-        let bit = 1 << (port.index() * 16 + usize::from(address % 16));
+        let bit = 1u128 << (port.index() * 16 + usize::from(address % 16));
         match self.written.get_mut(&order.value) {
             None => self
                 .tally
@@ -351,7 +356,7 @@ impl Master {
 
     /// Something on a line was not heard as it was sent.
     pub fn garbled(&mut self, port: Port, now: Moment) {
-        self.garbled.insert(port.index(), now);
+        self.garbled.insert(port, now);
     }
 }
 
@@ -371,13 +376,14 @@ fn settle(place: &mut Unit, open: &mut usize) {
 /// When a module told these inputs, if it did since the question and after the last answer.
 fn told_inputs(
     world: &World<'_>,
-    remote: u8,
+    device: (Option<Port>, u8),
     question: &Question,
     reply: &[u8],
     since: Instant,
     measured: Instant,
 ) -> Option<Instant> {
-    let SerialDevice::Station(station) = &world.lines[1].devices.first()?.device else { return None };
+    let (Some(port), remote) = device else { return None };
+    let SerialDevice::Station(station) = &world.bus(port)?.devices.first()?.device else { return None };
     let values = reply.get(2..)?;
     let told = station.told().between(since, world.now().instant());
     let mut fitting = told.filter(|(at, inputs)| {
@@ -389,11 +395,11 @@ fn told_inputs(
 }
 
 /// Whether a reply is one that this device gives to some question of ours.
-fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
+fn is_genuine(world: &World<'_>, (port, remote): (Option<Port>, u8), reply: &[u8]) -> bool {
     match reply {
         [0x04, _, data @ ..] => {
-            let Some(SerialDevice::Station(station)) = world.lines[1].devices.first().map(|it| &it.device)
-            else {
+            let device = port.and_then(|port| world.bus(port)).and_then(|bus| bus.devices.first());
+            let Some(SerialDevice::Station(station)) = device.map(|it| &it.device) else {
                 return true;
             };
             let mut told = station.told().between(Instant::from_micros(0), world.now().instant());
@@ -412,15 +418,6 @@ fn is_genuine(world: &World<'_>, remote: u8, reply: &[u8]) -> bool {
         }
         // acknowledgements look all alike
         _ => true,
-    }
-}
-
-/// The port behind which the devices of a route are.
-fn port_of(route: &Route) -> usize {
-    use jointbus_mcu_bridge::board::Target;
-    match route.target {
-        Target::Bus(port) => port.index(),
-        Target::Local(_) | Target::Bridge => Port::HOST.index(),
     }
 }
 
@@ -444,12 +441,4 @@ fn reply_length(prefix: &[u8], nst: bool) -> Option<usize> {
         (false, 1..=4) => 5 + usize::from(*prefix.get(2)?),
         (false, _) => 8,
     })
-}
-
-/// Whether a route speaks NST.
-#[must_use]
-pub(super) fn is_nst(network: &Topology, unit: u8) -> bool {
-    network
-        .route(unit)
-        .is_some_and(|(_, route)| matches!(route.protocol, Protocol::Nst | Protocol::NstOverCan))
 }

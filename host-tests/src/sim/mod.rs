@@ -7,9 +7,10 @@
 //! |---|---|
 //! | UART characters | start, data, parity and stop bits at the port's rate, one behind the other |
 //! | the host's line | full duplex |
-//! | RS485 lines | half duplex: two drivers at once destroy each other's bytes, a driver that is held too long destroys the answer, a byte without its driver is not heard; all devices hear each other; echo if the port is set so; RTU, or ASCII on the second line |
-//! | the CAN bus | frames at their stuffed length with intermission; arbitration by identifier, acknowledgement, error frames and retransmission, transmit errors up to error passive and bus-off, 128 times 11 recessive bits out of it |
-//! | the controller | three mailboxes in the order of the requests, abort, the acceptance filter |
+//! | boards | [`SimBoard`]: the reference board, a small and a large one; on an RS485 bus are NST sensors or a station with Modbus RTU or ASCII, as its routes say, and NST sensors on a CAN bus |
+//! | RS485 buses | half duplex: two drivers at once destroy each other's bytes, a driver that is held too long destroys the answer, a byte without its driver is not heard; all devices hear each other; echo if the port is set so |
+//! | CAN buses | frames at their stuffed length with intermission; arbitration by identifier, acknowledgement, error frames and retransmission, transmit errors up to error passive and bus-off, 128 times 11 recessive bits out of it |
+//! | a CAN controller | three mailboxes in the order of the requests, abort, the acceptance filter |
 //! | the firmware | the queues between interrupts and main loop (its own code), the main loop's order, its latency, its tick of 100 us |
 //! | devices | those of [`devices`](jointbus::devices), with reply times from a distribution and with bad habits |
 //! | faults | [`Fault`], each kind by name |
@@ -27,15 +28,15 @@
 //! [`Run`] puts a host into it that knows of every answer whether it belongs to its question, and sends faults; a
 //! [`Trial`] injects one fault alone, and compares what it raises and costs with [`Fault::raises`] and
 //! [`Fault::service`] (the page `FAULTS.md`). [`properties`] says what must hold. `cargo xtask soak` shows it over millions
-//! of requests, `cargo xtask sim --seed N` repeats one run, `--alone KIND` one fault, and `--pcap FILE` records a run for
+//! of requests, `cargo xtask sim --seed N --board NAME` repeats one run, `--alone KIND` one fault, and `--pcap FILE` records a run for
 //! Wireshark ([`Recorder`]).
 //!
 //! ```
-//! use jointbus_host_tests::sim::{Notice, Settings, World, MILLIS};
-//! use jointbus_mcu_bridge::io::serial::UartBuffers;
+//! use jointbus_host_tests::sim::{MILLIS, Notice, Settings, SimBoard, World};
 //!
-//! let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
-//! let mut world = World::new(Settings::new(1), &mut queues);
+//! let board = SimBoard::STM32F405;
+//! let mut queues = board.queues();
+//! let mut world = World::new(Settings::new(board, 1), &mut queues);
 //! // the six axes of the sensor behind unit 16
 //! world.host_sends(&[16, 0x03, 0x02, 0x00, 0x12, 0xC4, 0x4A]);
 //! let (end, mut reply) = (world.now().saturating_add(20 * MILLIS), Vec::new());
@@ -48,12 +49,13 @@
 //! ```
 
 mod agenda;
-mod board;
+mod boards;
 pub mod can_bits;
 pub mod can_wire;
 mod delay;
 mod effects;
 mod fault;
+mod firmware;
 mod framing;
 pub mod line;
 mod master;
@@ -64,6 +66,7 @@ mod question;
 mod questions;
 mod random;
 mod recorder;
+mod routes;
 mod run;
 mod settings;
 mod station;
@@ -71,6 +74,7 @@ mod tally;
 mod trial;
 mod world;
 
+pub use boards::{Large, SimBoard, Small};
 pub use delay::Delay;
 pub use effects::{At, Counter, Raise, Service, Times};
 pub use fault::{Fault, Place};
@@ -80,7 +84,7 @@ pub use plan::{Manner, Plan};
 pub use question::{Fit, Question};
 pub use questions::Questions;
 pub use random::Random;
-pub use recorder::{Interface, Recorder};
+pub use recorder::Recorder;
 pub use run::Run;
 pub use settings::Settings;
 pub use station::{CanStation, LAYOUT, MODULES, PATTERN, SCRATCH, SerialDevice, SerialStation, pattern};

@@ -1,9 +1,8 @@
 //! What the host asks, made so that the right answer can be told from every other one by its content.
 
-use super::board::INPUTS;
+use super::boards::INPUTS;
 use super::station::pattern;
-use jointbus_mcu_bridge::board::{Route, Target};
-use jointbus_mcu_bridge::boards::stm32f405::CAN;
+use jointbus_mcu_bridge::board::{Protocol, Route};
 use jointbus_protocol::modbus::{self, AddressRange, FunctionCode, rtu};
 use jointbus_protocol::nst::{self, Sample, SignEncoding, can, register, serial};
 use jointbus_protocol::nxi6201;
@@ -174,11 +173,11 @@ impl Question {
     /// Transfers that it takes on CAN.
     #[must_use]
     pub fn transfers(&self, route: &Route) -> u64 {
-        match (route.target, self) {
-            (Target::Bus(CAN), Self::Pattern { length, .. }) => {
+        match (route.protocol, self) {
+            (Protocol::NstOverCan, Self::Pattern { length, .. }) => {
                 u64::from(*length).div_ceil(can::READ_MAX as u64)
             }
-            (Target::Bus(CAN), Self::Write { length, .. }) => {
+            (Protocol::NstOverCan, Self::Write { length, .. }) => {
                 u64::from(*length).div_ceil(can::WRITE_MAX as u64)
             }
             _ => 1,

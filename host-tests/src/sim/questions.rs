@@ -1,11 +1,11 @@
 //! Which questions the host asks.
 
-use super::board::INPUTS;
+use super::boards::{INPUTS, SimBoard};
 use super::question::{Question, UNSUPPORTED};
 use super::random::Random;
+use super::settings::Settings;
 use super::station::{MODULES, PATTERN, SCRATCH};
-use jointbus_mcu_bridge::board::{Target, Topology};
-use jointbus_mcu_bridge::boards::stm32f405::{CAN, INPUTS_OUTPUTS, OUTPUTS, RS485_A, RS485_B};
+use jointbus_mcu_bridge::board::{LocalKind, Protocol, Target, Topology};
 use jointbus_protocol::nst::SAMPLE_LENGTH;
 
 /// Length of a long write.
@@ -14,6 +14,8 @@ const LONG_WRITE: u8 = 64;
 /// Makes up questions; no two that are open at once are alike.
 #[derive(Debug)]
 pub struct Questions {
+    board: SimBoard,
+    network: Topology,
     random: Random,
     token: u32,
     register: u16,
@@ -29,21 +31,24 @@ pub struct Questions {
 }
 
 impl Questions {
-    /// Questions to the sensors and modules that a bridge with these routes reaches, and to itself.
+    /// Questions to the sensors and modules that a bridge reaches, to the board's own units, and to the bridge itself.
     #[must_use]
-    pub fn new(network: &Topology, sensors: u8, nodes: u8, mut random: Random) -> Self {
+    pub fn new(settings: &Settings, mut random: Random) -> Self {
+        let Settings { board, network, sensors, nodes, .. } = *settings;
         let mut units = Vec::new();
         for row in network.routes.iter().filter(|row| row.is_used()) {
-            let count = match row.target {
-                Target::Bus(CAN) => nodes,
-                Target::Bus(RS485_A) => sensors,
-                Target::Bus(RS485_B) => MODULES as u8,
-                Target::Bridge | Target::Local(_) | Target::Bus(_) => 1,
+            let last = match (row.target, row.protocol) {
+                (Target::Bus(_), Protocol::NstOverCan) => nodes,
+                (Target::Bus(_), Protocol::Nst) => sensors,
+                (Target::Bus(_), Protocol::ModbusRtu | Protocol::ModbusAscii) => MODULES as u8,
+                (Target::Bridge | Target::Local(_), _) => u8::MAX,
             };
-            units.extend((row.first_unit..=row.last_unit).take(count.into()));
+            units.extend((row.first_unit..=row.last_unit).filter(|unit| row.remote_of(*unit) <= last));
         }
         let token = 0x0100_0000 + (random.next() as u32 & 0x00FF_FFFF);
         Self {
+            board,
+            network,
             random,
             token,
             register: PATTERN.start,
@@ -55,15 +60,20 @@ impl Questions {
         }
     }
 
+    /// The units that are asked.
+    pub(super) fn units(&self) -> &[u8] {
+        &self.units
+    }
+
     /// Asks only these units.
     pub fn only(&mut self, units: &[u8]) {
         self.units = units.to_vec();
     }
 
     /// A unit and a question to it.
-    pub fn next(&mut self, network: &Topology) -> (u8, Question) {
+    pub fn pick(&mut self) -> (u8, Question) {
         let unit = self.random.pick(&self.units);
-        (unit, self.for_unit(network, unit))
+        (unit, self.for_unit(unit))
     }
 
     /// A number of which no half is 0, which an order without a number has.
@@ -89,10 +99,10 @@ impl Questions {
     }
 
     /// A question to this unit.
-    pub fn for_unit(&mut self, network: &Topology, unit: u8) -> Question {
+    pub fn for_unit(&mut self, unit: u8) -> Question {
         let token = self.next_token();
         let short = token as u16;
-        let bus = network.route(unit).map(|(_, route)| (route.target, route.protocol.is_nst()));
+        let bus = self.network.route(unit).map(|(_, route)| (route.target, route.protocol.is_nst()));
         let write = self.random.chance(self.writes);
         match bus {
             Some((_, true)) if write => match self.random.below(8) {
@@ -126,19 +136,7 @@ impl Questions {
                 0 => Question::Slot,
                 _ => Question::Loopback { token: short },
             },
-            Some((OUTPUTS, false)) if write => {
-                Question::CardValue { channel: self.random.below(4) as u8, token: short }
-            }
-            Some((OUTPUTS, false)) => Question::CardRate,
-            Some((INPUTS_OUTPUTS, false)) if write => {
-                let on = self.random.chance(500_000);
-                Question::BoardOutput { channel: self.random.below(8) as u8, on }
-            }
-            Some((INPUTS_OUTPUTS, false)) => {
-                let first = self.random.below(INPUTS.len() as u64) as u8;
-                let most = INPUTS.len() as u64 - u64::from(first);
-                Question::BoardInputs { first, count: self.random.between(1, most) as u8 }
-            }
+            Some((Target::Local(index), false)) => self.for_local(index, write, short),
             _ if write && self.random.chance(self.unsupported) => {
                 Question::Unsupported { function: self.random.pick(&UNSUPPORTED), token: short }
             }
@@ -154,6 +152,23 @@ impl Questions {
                 let count = self.random.pick(&[2, 2, 3, 8]);
                 Question::Inputs { first: self.random.below(16 - u64::from(count)) as u8, count }
             }
+        }
+    }
+
+    /// A question to one of the board's own units.
+    fn for_local(&mut self, index: u8, write: bool, token: u16) -> Question {
+        match (self.board.local(index), write) {
+            (Some(LocalKind::Ndam), true) => {
+                let on = self.random.chance(500_000);
+                Question::BoardOutput { channel: self.random.below(8) as u8, on }
+            }
+            (Some(LocalKind::Ndam), false) => {
+                let first = self.random.below(INPUTS.len() as u64) as u8;
+                let most = INPUTS.len() as u64 - u64::from(first);
+                Question::BoardInputs { first, count: self.random.between(1, most) as u8 }
+            }
+            (_, true) => Question::CardValue { channel: self.random.below(4) as u8, token },
+            (_, false) => Question::CardRate,
         }
     }
 }

@@ -56,6 +56,15 @@ impl Random {
     pub const fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.index(choices.len())]
     }
+
+    /// One of several, if there are any; the next number is left where there is no choice.
+    pub const fn one_of<T: Copy>(&mut self, choices: &[T]) -> Option<T> {
+        match choices {
+            [] => None,
+            [only] => Some(*only),
+            _ => Some(self.pick(choices)),
+        }
+    }
 }
 
 #[cfg(test)]

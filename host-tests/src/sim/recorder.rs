@@ -2,30 +2,17 @@
 //!
 //! | interface | link type | shows |
 //! |---|---|---|
-//! | `can` | 227, SocketCAN | frames that somebody acknowledged |
-//! | `rs485-a`, `rs485-b`, `host` | 250, RTAC serial | what was heard, cut where the line paused or the direction changed |
+//! | a serial port, such as `host` and `rs485-a` | 250, RTAC serial | what was heard, cut where the line paused or the direction changed |
+//! | a CAN port, such as `can` | 227, SocketCAN | frames that somebody acknowledged |
+//!
+//! Interfaces have the numbers and the names of the board's ports.
 //!
 //! Wireshark does not know by itself what a serial line carries: *Decode As…*, field *RTAC Serial*, Modbus RTU. On the
 //! command line: `tshark -r FILE -d rtacser.data,mbrtu`. NST frames have the same CRC and show up as Modbus as well.
 
 use super::moment::{MICROS, Moment, Nanos, SECONDS};
+use jointbus_mcu_bridge::board::{Description, Port, PortKind, Topology};
 use jointbus_protocol::can::{Frame, Id};
-
-/// One wire, by its number in the file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Interface {
-    /// The CAN bus.
-    Can,
-    /// The first RS485 line.
-    Rs485A,
-    /// The second RS485 line.
-    Rs485B,
-    /// The host's line.
-    Host,
-}
-
-const INTERFACES: [(&str, u16); 4] =
-    [("can", SOCKETCAN), ("rs485-a", RTAC_SERIAL), ("rs485-b", RTAC_SERIAL), ("host", RTAC_SERIAL)];
 
 /// Link types.
 const SOCKETCAN: u16 = 227;
@@ -62,33 +49,35 @@ struct Chunk {
 #[derive(Debug)]
 pub struct Recorder {
     file: Vec<u8>,
-    /// The serial lines' chunks, and the pause that ends one.
-    chunks: [(Chunk, Nanos); 3],
+    /// The chunk of each port, and the pause that ends one.
+    chunks: Vec<(Chunk, Nanos)>,
 }
 
 impl Recorder {
-    /// An empty recording; the baud rates are those of host, rs485-a and rs485-b.
+    /// An empty recording of a board whose ports have these settings.
     #[must_use]
-    pub fn new([host, a, b]: [u32; 3]) -> Self {
+    pub fn new(board: &Description, network: &Topology) -> Self {
         let mut file = Vec::new();
         // byte order, version 1.0, length unknown
         let section = [&0x1A2B_3C4Du32.to_le_bytes()[..], &[1, 0, 0, 0], &u64::MAX.to_le_bytes()].concat();
         block(&mut file, SECTION_HEADER, &section);
-        for (name, link_type) in INTERFACES {
+        for port in board.ports {
+            let link_type = if port.kind == PortKind::Can { SOCKETCAN } else { RTAC_SERIAL };
             let mut body = [&link_type.to_le_bytes()[..], &[0; 6]].concat();
-            option(&mut body, OPTION_NAME, name.as_bytes());
+            option(&mut body, OPTION_NAME, port.name.as_bytes());
             option(&mut body, OPTION_RESOLUTION, &[NANOSECONDS]);
             body.extend([0; 4]);
             block(&mut file, INTERFACE, &body);
         }
         // three and a half characters of ten bits
         let chunk = |baud: u32| (Chunk::default(), 35 * SECONDS / Nanos::from(baud.max(1)));
-        Self { file, chunks: [chunk(a), chunk(b), chunk(host)] }
+        let ports = network.ports.iter().take(board.ports.len());
+        Self { file, chunks: ports.map(|port| chunk(port.baud())).collect() }
     }
 
-    /// Bytes that ended at `now` on a serial line.
-    pub fn bytes(&mut self, interface: Interface, from_master: bool, now: Moment, bytes: &[u8]) {
-        let Some(index) = (interface as usize).checked_sub(1) else { return };
+    /// Bytes that ended at `now` on the line of a serial port.
+    pub fn bytes(&mut self, port: Port, from_master: bool, now: Moment, bytes: &[u8]) {
+        let index = port.index();
         let (chunk, pause) = &self.chunks[index];
         if chunk.from_master != from_master || now.saturating_duration_since(chunk.last) > *pause {
             self.flush(index);
@@ -101,8 +90,8 @@ impl Recorder {
         chunk.last = now;
     }
 
-    /// A frame that ended at `now` on CAN.
-    pub fn frame(&mut self, now: Moment, frame: &Frame) {
+    /// A frame that ended at `now` on the bus of a CAN port.
+    pub fn frame(&mut self, port: Port, now: Moment, frame: &Frame) {
         let id = match frame.id() {
             Id::Standard(id) => id.into(),
             Id::Extended(id) => id | EXTENDED,
@@ -111,7 +100,7 @@ impl Recorder {
         let mut packet = id.to_be_bytes().to_vec();
         packet.extend([frame.dlc().min(8), 0, 0, 0]);
         packet.extend(frame.data());
-        self.packet(Interface::Can as u32, now, &packet);
+        self.packet(port, now, &packet);
     }
 
     /// The file so far.
@@ -132,14 +121,16 @@ impl Recorder {
         // event, control lines, footer
         packet.extend([if chunk.from_master { SENT } else { RECEIVED }, 0, 0, 0]);
         packet.extend(chunk.bytes);
-        self.packet(index as u32 + 1, chunk.start, &packet);
+        self.packet(Port::new(index as u8), chunk.start, &packet);
     }
 
-    fn packet(&mut self, interface: u32, at: Moment, packet: &[u8]) {
+    fn packet(&mut self, port: Port, at: Moment, packet: &[u8]) {
         let [high, low] = [(at.as_nanos() >> 32) as u32, at.as_nanos() as u32];
         let length = u32::try_from(packet.len()).unwrap_or(u32::MAX);
-        let mut body: Vec<u8> =
-            [interface, high, low, length, length].iter().flat_map(|field| field.to_le_bytes()).collect();
+        let mut body: Vec<u8> = [u32::from(port.number()), high, low, length, length]
+            .iter()
+            .flat_map(|field| field.to_le_bytes())
+            .collect();
         body.extend_from_slice(packet);
         pad(&mut body);
         block(&mut self.file, ENHANCED_PACKET, &body);
@@ -168,6 +159,7 @@ fn pad(bytes: &mut Vec<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, RS485_A};
 
     /// The blocks of a file: kind and body.
     fn blocks(mut file: &[u8]) -> Vec<(u32, Vec<u8>)> {
@@ -186,14 +178,16 @@ mod tests {
 
     #[test]
     fn a_pause_or_the_other_direction_ends_a_packet() {
-        let mut recorder = Recorder::new([1_000_000; 3]);
+        let mut network = Topology::of(BOARD);
+        network.ports[RS485_A.index()].rate = 10_000;
+        let mut recorder = Recorder::new(BOARD, &network);
         let at = |micros: u64| Moment::from_nanos(micros * MICROS);
-        recorder.bytes(Interface::Rs485A, true, at(10), &[1, 2]);
-        recorder.bytes(Interface::Rs485A, true, at(30), &[3]);
-        recorder.bytes(Interface::Rs485A, false, at(40), &[4]);
-        recorder.bytes(Interface::Rs485A, false, at(90), &[5]);
+        recorder.bytes(RS485_A, true, at(10), &[1, 2]);
+        recorder.bytes(RS485_A, true, at(30), &[3]);
+        recorder.bytes(RS485_A, false, at(40), &[4]);
+        recorder.bytes(RS485_A, false, at(90), &[5]);
         let frame = Frame::data_frame(Id::Extended(0x007F_0110), &[9; 3]).unwrap();
-        recorder.frame(at(100), &frame);
+        recorder.frame(CAN, at(100), &frame);
         let blocks = blocks(recorder.file());
         assert_eq!(blocks[0].0, SECTION_HEADER);
         assert!(blocks[1..5].iter().all(|(kind, _)| *kind == INTERFACE));

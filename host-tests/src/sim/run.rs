@@ -4,7 +4,7 @@ mod host_faults;
 
 use super::fault::Place;
 use super::framing::with_crc;
-use super::master::{Master, is_nst};
+use super::master::Master;
 use super::moment::{MICROS, MILLIS, Moment, Nanos};
 use super::plan::{Manner, Plan};
 use super::question::Question;
@@ -12,7 +12,6 @@ use super::questions::Questions;
 use super::random::Random;
 use super::world::{Notice, World};
 use jointbus_mcu_bridge::board::Topology;
-use jointbus_mcu_bridge::boards::stm32f405::{BOARD, CAN, RS485_A, RS485_B};
 use jointbus_mcu_bridge::engine::Counters;
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::nst;
@@ -32,7 +31,7 @@ pub struct Run<'q> {
     pub master: Master,
     /// What it asks.
     pub questions: Questions,
-    network: Topology,
+    pub(super) network: Topology,
     random: Random,
     plan: Plan,
     asked: u64,
@@ -44,15 +43,15 @@ pub struct Run<'q> {
 }
 
 impl<'q> Run<'q> {
-    /// A run at its beginning.
+    /// A run at its beginning; [`SimBoard::queues`](super::SimBoard::queues) makes the queues.
     #[must_use]
-    pub fn new(plan: Plan, queues: &'q mut [UartBuffers; 3]) -> Self {
+    pub fn new(plan: Plan, queues: &'q mut [UartBuffers]) -> Self {
         let mut random = Random::new(plan.settings.seed ^ 0xA5C);
         let network = plan.settings.network;
         Self {
             world: World::new(plan.settings.clone(), queues),
-            master: Master::new(&network),
-            questions: Questions::new(&network, plan.settings.sensors, plan.settings.nodes, random.fork()),
+            master: Master::new(&plan.settings),
+            questions: Questions::new(&plan.settings, random.fork()),
             network,
             random,
             plan,
@@ -156,10 +155,10 @@ impl<'q> Run<'q> {
         if unit == nst::BROADCAST {
             self.world.host_pauses(SILENCE);
             self.silent = end.saturating_add(SILENCE);
-            self.master.broadcast(&question, &[RS485_A, CAN], end.saturating_add(BURST_ENDS));
+            self.master.broadcast(&question, end.saturating_add(BURST_ENDS));
             return self.silent;
         }
-        self.master.broadcast(&question, &[RS485_B], end);
+        self.master.broadcast(&question, end);
         end
     }
 
@@ -173,10 +172,12 @@ impl<'q> Run<'q> {
                 let frame = if frame.first() == Some(&b':') { with_crc(frame) } else { frame.to_vec() };
                 self.master.overhears(port, &frame, start, now);
             }
-            Notice::CanFrame { frame, start } => self.master.overhears_frame(&frame, start, now),
+            Notice::CanFrame { port, frame, start } => {
+                self.master.overhears_frame(port, &frame, start, now);
+            }
             Notice::Ordered { port, address, order } => self.master.ordered(port, address, &order, now),
             Notice::Garbled(port) => self.master.garbled(port, now),
-            Notice::Alarm(_) | Notice::BridgeHears(_) => {}
+            Notice::Alarm(_) | Notice::BridgeHears { .. } => {}
         }
         None
     }
@@ -222,7 +223,7 @@ impl<'q> Run<'q> {
     /// A question that is not open yet.
     fn next_question(&mut self) -> (u8, Question) {
         loop {
-            let (unit, question) = self.questions.next(&self.network);
+            let (unit, question) = self.questions.pick();
             if !self.master.is_open(unit, &question) {
                 return (unit, question);
             }
@@ -231,7 +232,8 @@ impl<'q> Run<'q> {
 
     /// Every request is answered, or counted: exactly.
     fn account(&mut self) {
-        let counters: Vec<_> = BOARD.ports().map(|port| self.world.engine().counters(port)).collect();
+        let ports = self.plan.settings.board.description.ports();
+        let counters: Vec<_> = ports.map(|port| self.world.engine().counters(port)).collect();
         let sum = |what: fn(&Counters) -> u32| {
             counters.iter().map(|counters| u64::from(what(counters))).sum::<u64>()
         };
@@ -256,11 +258,5 @@ impl<'q> Run<'q> {
                 )
             });
         }
-    }
-
-    /// Whether a unit speaks NST.
-    #[must_use]
-    pub fn is_nst(&self, unit: u8) -> bool {
-        is_nst(&self.network, unit)
     }
 }

@@ -161,7 +161,7 @@ impl SerialStation {
     }
 }
 
-/// A device on the CAN bus.
+/// A device on a CAN bus.
 #[derive(Debug)]
 pub struct CanStation {
     /// Its node.

@@ -1,5 +1,6 @@
 //! One fault alone, in traffic that is otherwise clean: what it does to the counters, and to the service.
 
+use super::boards::SimBoard;
 use super::effects::{Counter, Service};
 use super::fault::{Fault, Place};
 use super::moment::{MICROS, MILLIS, Moment, Nanos};
@@ -75,10 +76,10 @@ struct Course<'q> {
 }
 
 impl Trial {
-    /// Injects a fault into the traffic of a seed.
+    /// Injects a fault into the traffic of a seed, on the reference board.
     #[must_use]
     pub fn of(fault: Fault, seed: u64) -> Self {
-        let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
+        let mut queues = SimBoard::STM32F405.queues();
         let mut course = Course::new(fault, seed, &mut queues);
         course.warm_up();
         course.bring_about();
@@ -89,9 +90,9 @@ impl Trial {
 }
 
 impl<'q> Course<'q> {
-    fn new(fault: Fault, seed: u64, queues: &'q mut [UartBuffers; 3]) -> Self {
+    fn new(fault: Fault, seed: u64, queues: &'q mut [UartBuffers]) -> Self {
         let mut random = Random::new(seed ^ 0x0FA7);
-        let mut settings = Settings::new(seed);
+        let mut settings = Settings::new(SimBoard::STM32F405, seed);
         let bus = match fault.place() {
             Place::Host => Port::HOST,
             Place::Can => CAN,
@@ -236,7 +237,7 @@ impl<'q> Course<'q> {
         match notice {
             Notice::SerialFrame { port, .. } => self.sent[port.index()] += 1,
             Notice::CanFrame { .. } => self.sent[CAN.index()] += 1,
-            Notice::BridgeHears(_) => self.heard += 1,
+            Notice::BridgeHears { .. } => self.heard += 1,
             Notice::Alarm(_) if !self.run.master.is_open(BRIDGE, &Question::Health) => {
                 self.run.ask(BRIDGE, Question::Health);
             }
@@ -249,10 +250,9 @@ impl<'q> Course<'q> {
     fn transaction(&mut self, unit: u8) {
         let pause = self.random.below(300) * MICROS;
         self.until(self.run.world.now().saturating_add(pause));
-        let (network, route, port) =
-            (self.run.world.settings().network, self.route(unit), self.port_of(unit));
+        let (route, port) = (self.route(unit), self.port_of(unit));
         let question = loop {
-            let question = self.run.questions.for_unit(&network, unit);
+            let question = self.run.questions.for_unit(unit);
             if !self.run.master.is_open(unit, &question) {
                 break question;
             }

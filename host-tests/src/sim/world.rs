@@ -6,18 +6,19 @@ mod inject;
 mod rs485;
 
 use super::agenda::Agenda;
-use super::board::{Board, CONTROLLER, Handed, SERIAL, Uart};
 use super::can_wire::CanWire;
 use super::fault::Fault;
+use super::firmware::{CONTROLLER, Firmware, Handed, Uart};
 use super::line::Line;
 use super::moment::{MICROS, Moment, Nanos};
 use super::random::Random;
-use super::recorder::{Interface, Recorder};
+use super::recorder::Recorder;
+use super::routes;
 use super::settings::Settings;
 use super::station::{CanStation, SerialStation};
 use jointbus::devices::Order;
-use jointbus_mcu_bridge::board::{Port, PortConfig};
-use jointbus_mcu_bridge::boards::stm32f405::{CAN, Engine, RS485_A, RS485_B};
+use jointbus_mcu_bridge::board::{Parity, Port, PortConfig, Protocol};
+use jointbus_mcu_bridge::engine::AnyEngine;
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::time::Duration;
@@ -31,9 +32,6 @@ const BRIDGE: usize = 0;
 
 /// Bit errors in a row that take a fresh controller to bus-off.
 pub(super) const TO_BUS_OFF: usize = 32;
-
-/// RS485 lines.
-const LINES: usize = 2;
 
 /// Something that an observer may want to know.
 #[derive(Debug, Clone, Copy)]
@@ -51,13 +49,20 @@ pub enum Notice {
     },
     /// The bridge has sent a frame on CAN, and somebody acknowledged it.
     CanFrame {
+        /// Which bus.
+        port: Port,
         /// The frame.
         frame: Frame,
         /// When it started.
         start: Moment,
     },
     /// A frame on CAN has reached the bridge.
-    BridgeHears(Frame),
+    BridgeHears {
+        /// Which bus.
+        port: Port,
+        /// The frame.
+        frame: Frame,
+    },
     /// A device has carried out a write or a command.
     Ordered {
         /// Its bus.
@@ -82,9 +87,9 @@ enum Event {
     DevicePoll { line: usize, device: usize },
     DeviceReply { line: usize, device: usize },
     NoiseStarts { line: usize },
-    Can,
-    NodeReply { node: usize },
-    CanBack,
+    Can { can: usize },
+    NodeReply { can: usize, node: usize },
+    CanBack { can: usize },
     Alarm(u64),
 }
 
@@ -100,7 +105,9 @@ enum ToSend {
 /// One RS485 line with everything on it.
 pub(super) struct Bus {
     pub(super) line: Line,
+    /// Sensors, or one station.
     pub(super) devices: Vec<SerialStation>,
+    pub(super) is_nst: bool,
     /// What goes wrong with the next replies.
     pub(super) armed: VecDeque<Fault>,
     /// The bridge's frame on the wire, and when it started.
@@ -116,14 +123,27 @@ pub(super) struct Bus {
     pub(super) noise: Vec<u8>,
 }
 
+/// One CAN bus with everything on it.
+pub(super) struct CanNet {
+    pub(super) wire: CanWire,
+    pub(super) nodes: Vec<CanStation>,
+    /// What goes wrong with the next replies.
+    pub(super) armed: VecDeque<Fault>,
+    pub(super) port: Port,
+    due: Option<Moment>,
+    /// When the bus is no longer held dominant.
+    released: Option<Moment>,
+}
+
 /// A bridge with its host line, its buses and the devices there.
 pub struct World<'q> {
     pub(super) now: Moment,
     agenda: Agenda<Event>,
     pub(super) random: Random,
     pub(super) settings: Settings,
-    board: Board<'q>,
-    uarts: [Uart<'q>; 3],
+    firmware: Firmware<'q>,
+    /// The host's port, then the lines'.
+    uarts: Vec<Uart<'q>>,
     /// The main loop's next turn.
     turn: Option<Moment>,
     notices: VecDeque<Notice>,
@@ -131,65 +151,29 @@ pub struct World<'q> {
     host_byte: Nanos,
     to_host: Option<u8>,
     host_sending: bool,
-    pub(super) lines: [Bus; LINES],
-    pub(super) can: CanWire,
-    can_due: Option<Moment>,
-    /// When the bus is no longer held dominant.
-    can_released: Option<Moment>,
-    pub(super) nodes: Vec<CanStation>,
-    pub(super) can_armed: VecDeque<Fault>,
+    pub(super) lines: Vec<Bus>,
+    pub(super) nets: Vec<CanNet>,
     recorder: Option<Recorder>,
 }
 
 impl<'q> World<'q> {
-    /// A world at its beginning. The queues are those between the bridge's interrupts and its main loop.
+    /// A world at its beginning. The queues are those between the bridge's interrupts and its main loop:
+    /// [`SimBoard::queues`](super::SimBoard::queues).
     #[must_use]
-    pub fn new(settings: Settings, queues: &'q mut [UartBuffers; 3]) -> Self {
+    pub fn new(settings: Settings, queues: &'q mut [UartBuffers]) -> Self {
         let mut random = Random::new(settings.seed);
         let now = Moment::from_nanos(1_000_000_000);
-        let (board, uarts) = Board::new(&settings, queues, now.instant());
-        let bus = |port: Port, devices: Vec<SerialStation>| {
-            let config = settings.network.ports[port.index()];
-            // the bridge, the devices, the intruder
-            let mut line = Line::new(devices.len() + 2, byte_time(&config));
-            line.set_noisy(devices.len() + 1);
-            Bus {
-                line,
-                devices,
-                armed: VecDeque::new(),
-                frame: Vec::new(),
-                frame_start: now,
-                port,
-                echo: config.echo,
-                hold: 0,
-                mute: 0,
-                noise: Vec::new(),
-            }
-        };
-        let a = settings.network.ports[RS485_A.index()];
-        // a device that hears a foreign frame is ready again before the next one
-        let silence = Duration::from_micros(a.characters(3).as_micros());
-        let sensors = (1..=settings.sensors)
-            .map(|address| SerialStation::sensor(address, silence, settings.sensor_delay));
-        let lines = [
-            bus(RS485_A, sensors.collect()),
-            bus(
-                RS485_B,
-                vec![SerialStation::station(settings.station_delay, settings.network.speaks_ascii(RS485_B))],
-            ),
-        ];
-        let nodes: Vec<_> =
-            (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();
-        // the bridge, the nodes, the intruder
-        let mut can = CanWire::new(settings.network.ports[CAN.index()].rate.into(), nodes.len() + 2);
-        can.controllers[CONTROLLER].waits_for_restart = true;
+        let (firmware, uarts) = Firmware::new(&settings, queues, now.instant());
+        let lines: Vec<_> =
+            settings.board.serial_buses().map(|port| Bus::new(&settings, port, now)).collect();
+        let nets: Vec<_> = settings.board.can_buses().map(|port| CanNet::new(&settings, port)).collect();
         let host_byte = byte_time(&settings.network.ports[Port::HOST.index()]);
         let mut world = Self {
             now,
             agenda: Agenda::new(),
             random: random.fork(),
             settings,
-            board,
+            firmware,
             uarts,
             turn: None,
             notices: VecDeque::new(),
@@ -198,11 +182,7 @@ impl<'q> World<'q> {
             to_host: None,
             host_sending: false,
             lines,
-            can,
-            can_due: None,
-            can_released: None,
-            nodes,
-            can_armed: VecDeque::new(),
+            nets,
             recorder: None,
         };
         world.wake(now);
@@ -211,9 +191,8 @@ impl<'q> World<'q> {
 
     /// Records all wires from now on; [`World::recording`] has the file.
     pub fn record(&mut self) {
-        let rates =
-            [Port::HOST, RS485_A, RS485_B].map(|port| self.settings.network.ports[port.index()].baud());
-        self.recorder = Some(Recorder::new(rates));
+        let Settings { board, network, .. } = &self.settings;
+        self.recorder = Some(Recorder::new(board.description, network));
     }
 
     /// The recording so far, as a pcapng file.
@@ -233,24 +212,28 @@ impl<'q> World<'q> {
         &self.settings
     }
 
+    /// What is on the serial bus of a port.
+    pub(super) fn bus(&self, port: Port) -> Option<&Bus> {
+        self.lines.iter().find(|bus| bus.port == port)
+    }
+
     /// The bridge's engine.
     #[must_use]
-    pub const fn engine(&self) -> &Engine {
-        &self.board.engine
+    pub fn engine(&self) -> &dyn AnyEngine {
+        &*self.firmware.engine
     }
 
     /// The bridge's frame that [`Notice::SerialFrame`] tells of.
     #[must_use]
     pub fn sent_frame(&self, port: Port) -> &[u8] {
-        let line = self.lines.iter().find(|bus| bus.port == port);
-        line.map_or(&[], |bus| &bus.frame)
+        self.bus(port).map_or(&[], |bus| &bus.frame)
     }
 
     /// Has the host send bytes, behind those that it has not sent yet. The answer is when the last of them ends.
     pub fn host_sends(&mut self, bytes: &[u8]) -> Moment {
         self.to_bridge.extend(bytes.iter().map(|byte| ToSend::Byte(*byte)));
         if let Some(recorder) = &mut self.recorder {
-            recorder.bytes(Interface::Host, true, self.now, bytes);
+            recorder.bytes(Port::HOST, true, self.now, bytes);
         }
         self.host_goes_on();
         let spans = self.to_bridge.iter().map(|item| match item {
@@ -317,19 +300,20 @@ impl<'q> World<'q> {
                 let intruder = self.lines[line].devices.len() + 1;
                 self.line_sends(line, intruder, &noise);
             }
-            Event::Can => {
-                if self.can_due == Some(self.now) {
-                    self.can_due = None;
-                    self.move_can();
+            Event::Can { can } => {
+                if self.nets[can].due == Some(self.now) {
+                    self.nets[can].due = None;
+                    self.move_can(can);
                 }
             }
-            Event::NodeReply { node } => {
-                if let Some(frames) = self.nodes[node].due(self.now) {
-                    self.can.controllers[node + 1].outbox.extend(frames);
-                    self.move_can();
+            Event::NodeReply { can, node } => {
+                let net = &mut self.nets[can];
+                if let Some(frames) = net.nodes[node].due(self.now) {
+                    net.wire.controllers[node + 1].outbox.extend(frames);
+                    self.move_can(can);
                 }
             }
-            Event::CanBack => self.power_nodes(),
+            Event::CanBack { can } => self.power_nodes(can),
             Event::Alarm(name) => self.notices.push_back(Notice::Alarm(name)),
         }
     }
@@ -351,12 +335,12 @@ impl<'q> World<'q> {
 
     fn main_loop(&mut self) {
         self.turn = None;
-        let handed = self.board.turn(self.now, &mut self.can);
+        let handed = self.firmware.turn(self.now, &mut self.nets);
         self.fill_tx(&handed);
         let tick = self.now.saturating_add(1).rounded_up(TICK);
         if handed.again {
             self.wake(tick);
-        } else if let Some(deadline) = self.board.engine.poll_at() {
+        } else if let Some(deadline) = self.firmware.engine.poll_at() {
             self.wake(Moment::of(deadline).rounded_up(TICK).max(tick));
         }
     }
@@ -364,28 +348,70 @@ impl<'q> World<'q> {
     fn fill_tx(&mut self, handed: &Handed) {
         for (index, changed) in handed.changed.iter().enumerate() {
             let Some(config) = changed else { continue };
-            match SERIAL[index] {
-                Port::HOST => self.host_byte = byte_time(config),
-                _ => self.lines[index - 1].line.set_byte_time(byte_time(config)),
+            match index.checked_sub(1) {
+                None => self.host_byte = byte_time(config),
+                Some(line) => self.lines[line].line.set_byte_time(byte_time(config)),
             }
         }
         if handed.serial[0] && !self.uarts[0].sending {
             self.start_byte_to_host();
         }
-        for line in 0..LINES {
+        for line in 0..self.lines.len() {
             if handed.serial[line + 1] && !self.uarts[line + 1].sending {
                 self.start_bridge_frame(line);
             }
         }
-        self.move_can();
+        (0..self.nets.len()).for_each(|can| self.move_can(can));
+    }
+}
+
+impl Bus {
+    fn new(settings: &Settings, port: Port, now: Moment) -> Self {
+        let config = settings.network.ports[port.index()];
+        let protocol = routes::protocol(&settings.network, port);
+        let is_nst = protocol.is_some_and(Protocol::is_nst);
+        let devices: Vec<_> = if is_nst {
+            // a device that hears a foreign frame is ready again before the next one
+            let silence = Duration::from_micros(config.characters(3).as_micros());
+            let sensors = 1..=settings.sensors;
+            sensors.map(|address| SerialStation::sensor(address, silence, settings.sensor_delay)).collect()
+        } else {
+            let is_ascii = protocol == Some(Protocol::ModbusAscii);
+            vec![SerialStation::station(settings.station_delay, is_ascii)]
+        };
+        // the bridge, the devices, the intruder
+        let mut line = Line::new(devices.len() + 2, byte_time(&config));
+        line.set_noisy(devices.len() + 1);
+        Self {
+            line,
+            devices,
+            is_nst,
+            armed: VecDeque::new(),
+            frame: Vec::new(),
+            frame_start: now,
+            port,
+            echo: config.echo,
+            hold: 0,
+            mute: 0,
+            noise: Vec::new(),
+        }
+    }
+}
+
+impl CanNet {
+    fn new(settings: &Settings, port: Port) -> Self {
+        let nodes: Vec<_> =
+            (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();
+        // the bridge, the nodes, the intruder
+        let mut wire = CanWire::new(settings.network.ports[port.index()].rate.into(), nodes.len() + 2);
+        wire.controllers[CONTROLLER].waits_for_restart = true;
+        Self { wire, nodes, armed: VecDeque::new(), port, due: None, released: None }
     }
 }
 
 /// The time that a character takes.
 fn byte_time(config: &PortConfig) -> Nanos {
-    let bits = 9
-        + u64::from(config.stop_bits)
-        + u64::from(config.parity != jointbus_mcu_bridge::board::Parity::None);
+    let bits = 9 + u64::from(config.stop_bits) + u64::from(config.parity != Parity::None);
     bits * 1_000_000_000 / u64::from(config.baud().max(1))
 }
 

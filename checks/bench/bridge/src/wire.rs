@@ -7,10 +7,9 @@ use std::env;
 
 use anyhow::{Context, Result, ensure};
 use jointbus_host_tests::sim::can_bits::{INTERMISSION, length};
-use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, World};
+use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, SimBoard, World};
 use jointbus_mcu_bridge::board::Port;
 use jointbus_mcu_bridge::boards::stm32f405::CAN;
-use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::Frame;
 use jointbus_protocol::checksum::crc16;
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
@@ -60,7 +59,7 @@ fn show(what: &str, figure: f64) {
 }
 
 fn settings(latency: Nanos, device: Nanos) -> Settings {
-    let mut settings = Settings::new(1);
+    let mut settings = Settings::new(SimBoard::STM32F405, 1);
     settings.latency = Delay::Fixed(latency);
     settings.node_delay = Delay::Fixed(device);
     settings
@@ -71,7 +70,7 @@ fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let settings = settings(latency, device);
     let baud = u64::from(settings.network.ports[Port::HOST.index()].baud());
     let byte = 10 * SECONDS / baud;
-    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
+    let mut queues = settings.board.queues();
     let mut world = World::new(settings, &mut queues);
     let (start, mut worst) = (world.now(), 0);
     for _ in 0..READS {
@@ -90,7 +89,7 @@ fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
     while bytes < REPLY_LENGTH {
         match world.next(end).context("no reply")? {
             Notice::CanFrame { start, .. } => sent = Some(start),
-            Notice::BridgeHears(_) => heard = Some(world.now()),
+            Notice::BridgeHears { .. } => heard = Some(world.now()),
             Notice::HostHears(_) => {
                 first.get_or_insert(world.now());
                 bytes += 1;
@@ -108,7 +107,7 @@ fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
     let settings = settings(latency, device);
     let rate = u64::from(settings.network.ports[CAN.index()].rate) * 1000;
     let nodes = settings.nodes;
-    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
+    let mut queues = settings.board.queues();
     let mut world = World::new(settings, &mut queues);
     // unit and period in 100 us of each
     let data: Vec<u8> = (0..SLOTS).flat_map(|slot| [0, 1 + slot % nodes, 0, 1]).collect();
@@ -133,7 +132,7 @@ fn slots(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
                 carry(&frame);
                 requests += 1;
             }
-            Notice::BridgeHears(frame) => carry(&frame),
+            Notice::BridgeHears { frame, .. } => carry(&frame),
             _ => {}
         }
     }

@@ -1,9 +1,9 @@
 //! What the bridge sends to the devices: somebody must have asked for it, and not too long ago.
 
-use super::{Asked, Broadcast, FRAME, Master, port_of};
-use crate::sim::moment::Moment;
-use jointbus_mcu_bridge::board::Port;
-use jointbus_mcu_bridge::boards::stm32f405::CAN;
+use super::{Asked, Broadcast, Master};
+use crate::sim::moment::{MICROS, Moment, Nanos};
+use crate::sim::routes::unit_at;
+use jointbus_mcu_bridge::board::{Port, Target};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
 use jointbus_protocol::nst::can::{FrameType, Identifier, READ_MAX, WRITE_MAX};
@@ -24,13 +24,13 @@ impl Master {
     }
 
     /// The bridge has sent a frame on CAN.
-    pub fn overhears_frame(&mut self, frame: &Frame, start: Moment, now: Moment) {
+    pub fn overhears_frame(&mut self, port: Port, frame: &Frame, start: Moment, now: Moment) {
         self.tally.sent[1] += 1;
         let Id::Extended(raw) = frame.id() else { return };
         let Some(identifier) = Identifier::from_raw(raw) else { return };
         let starts = matches!(identifier.frame_type, FrameType::Single | FrameType::First);
         if identifier.destination == u8::MAX {
-            return self.overhears_part(&identifier, frame, start, now);
+            return self.overhears_part(port, &identifier, frame, start, now);
         }
         let [function, high, low, length, ..] = *frame.payload();
         if !starts {
@@ -41,7 +41,7 @@ impl Master {
         // the number of a write follows its header
         let payload = *frame.payload();
         let most = if function == 0x10 { WRITE_MAX } else { READ_MAX };
-        self.passes(CAN, identifier.destination, &head, start, now, |asked| {
+        self.passes(port, identifier.destination, &head, start, now, |asked| {
             let Some(&[asked_function, high, low, whole]) = asked.body.first_chunk::<4>() else {
                 return false;
             };
@@ -56,15 +56,30 @@ impl Master {
     }
 
     /// A frame of a broadcast on CAN: the first one tells which, the last one that all of it was sent.
-    fn overhears_part(&mut self, identifier: &Identifier, frame: &Frame, start: Moment, now: Moment) {
+    fn overhears_part(
+        &mut self,
+        port: Port,
+        identifier: &Identifier,
+        frame: &Frame,
+        start: Moment,
+        now: Moment,
+    ) {
         let whole = matches!(identifier.frame_type, FrameType::Single | FrameType::Last);
         if matches!(identifier.frame_type, FrameType::Single | FrameType::First) {
-            self.broadcast_head = frame.data().to_vec();
-            self.passes_all(CAN, &self.broadcast_head.clone(), whole, start, now);
+            let head = frame.data().to_vec();
+            self.passes_all(port, &head, whole, start, now);
+            self.broadcast_heads.insert(port, head);
         } else if whole {
-            let head = self.broadcast_head.clone();
-            self.passes_all(CAN, &head, true, Moment::default(), now);
+            let head = self.broadcast_heads.remove(&port).unwrap_or_default();
+            self.passes_all(port, &head, true, Moment::default(), now);
         }
+    }
+
+    /// How long a frame that was begun in time may keep the bus of a CAN port, and a bit more.
+    fn frame_time(&self, port: Port) -> Nanos {
+        let is_can = self.board.description.is_can(Target::Bus(port));
+        let config = self.network.port(port).filter(|_| is_can);
+        config.map_or(0, |config| config.can_frames(1).as_micros() * MICROS * 5 / 4)
     }
 
     /// A frame goes to a device: somebody must have asked for it, and not too long ago.
@@ -79,11 +94,8 @@ impl Master {
     ) {
         let sample = [0x03, 0x02, 0x00, SAMPLE_LENGTH as u8];
         debug_assert_eq!(register::DATA.first, 0x0200);
-        let unit = self.network.routes.iter().find_map(|row| {
-            let mine = row.is_used() && port_of(row) == port.index();
-            let unit = row.first_unit.wrapping_add(remote.wrapping_sub(row.first_address));
-            (mine && row.serves(unit)).then_some(unit)
-        });
+        let frame = self.frame_time(port);
+        let unit = unit_at(&self.network, port, remote);
         let asked = unit.and_then(|unit| {
             let open = &mut self.units[usize::from(unit)].open;
             open.iter_mut().find(|asked| !asked.overtaken && is_it(asked))
@@ -97,7 +109,7 @@ impl Master {
         };
         // of a split transfer the first part counts
         let first_part = head.get(1..3) == asked.body.get(1..3);
-        let limit = if port == CAN { asked.expires.saturating_add(FRAME) } else { asked.expires };
+        let limit = asked.expires.saturating_add(frame);
         let question = asked.question;
         if first_part && start > limit {
             self.tally.violation(now, || {
@@ -123,12 +135,13 @@ impl Master {
 
     /// A broadcast goes out: somebody must have asked for it, not too long ago, and once.
     fn passes_all(&mut self, port: Port, head: &[u8], is_whole: bool, start: Moment, now: Moment) {
+        let frame = self.frame_time(port);
         let mine =
             |broadcast: &&mut Broadcast| broadcast.to.contains(&port) && broadcast.body.starts_with(head);
         let Some(broadcast) = self.broadcasts.iter_mut().find(mine) else {
             return self.tally.violation(now, || format!("{port:?}: nobody asked to tell all {head:02x?}"));
         };
-        let limit = if port == CAN { broadcast.expires.saturating_add(FRAME) } else { broadcast.expires };
+        let limit = broadcast.expires.saturating_add(frame);
         if is_whole {
             broadcast.to.retain(|to| *to != port);
             self.tally.copies[1] += 1;

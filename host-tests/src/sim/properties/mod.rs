@@ -10,6 +10,7 @@ pub use dead::dead_devices;
 pub use faults::each_fault_alone;
 pub use polling::{Traffic, polling_both, polling_is_on_time};
 
+use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 use std::sync::Mutex;
@@ -23,7 +24,7 @@ pub const REQUESTS: u64 = 1000;
 #[derive(Debug, Clone, Default)]
 pub struct Found {
     /// What was counted.
-    pub counted: Vec<(&'static str, u64)>,
+    pub counted: Vec<(Cow<'static, str>, u64)>,
     /// How often it was violated.
     pub violated: u64,
     /// The first few violations, with the command that repeats them.
@@ -42,7 +43,8 @@ impl Found {
     }
 
     /// Counts something.
-    fn count(&mut self, what: &'static str, number: u64) {
+    fn count(&mut self, what: impl Into<Cow<'static, str>>, number: u64) {
+        let what = what.into();
         match self.counted.iter_mut().find(|(name, _)| *name == what) {
             Some((_, sum)) => *sum += number,
             None => self.counted.push((what, number)),

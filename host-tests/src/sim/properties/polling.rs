@@ -1,6 +1,7 @@
 //! The bridge's own polling.
 
 use super::Found;
+use crate::sim::boards::SimBoard;
 use crate::sim::delay::Delay;
 use crate::sim::fault::Fault;
 use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
@@ -9,6 +10,7 @@ use crate::sim::run::Run;
 use crate::sim::settings::Settings;
 use crate::sim::world::Notice;
 use jointbus::devices::motion::spelt_moment;
+use jointbus_mcu_bridge::board::Port;
 use jointbus_mcu_bridge::engine::Slot;
 use jointbus_mcu_bridge::io::serial::UartBuffers;
 use jointbus_protocol::can::{Frame, Id};
@@ -38,13 +40,13 @@ pub enum Traffic {
     Rough,
 }
 
-/// A sensor on CAN at 1 Mbit/s is polled with 1000 Hz beside host traffic: each period has a sample, a counted failure,
+/// On a board whose first unit is a sensor on CAN at 1 Mbit/s, that is polled with 1000 Hz beside host traffic: each period has a sample, a counted failure,
 /// or is counted as missed; where nothing fails none is missed. No sample is torn, and each is stamped with the end of
 /// its reply's last frame.
 #[must_use]
-pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
-    let mut queues = [UartBuffers::new(), UartBuffers::new(), UartBuffers::new()];
-    let mut course = Course::new(plan(seed, traffic), &mut queues);
+pub fn polling_is_on_time(board: SimBoard, seed: u64, span: Nanos, traffic: Traffic) -> Found {
+    let mut queues = board.queues();
+    let mut course = Course::new(plan(board, seed, traffic), &mut queues);
     let mut found = Found::default();
     if !course.begin() {
         found.violation(format!("cargo xtask soak --seed {seed}: the slot was not set"));
@@ -83,16 +85,16 @@ pub fn polling_is_on_time(seed: u64, span: Nanos, traffic: Traffic) -> Found {
 
 /// Both at once: what is calm, and what is rough.
 #[must_use]
-pub fn polling_both(seed: u64, span: Nanos) -> [Found; 2] {
+pub fn polling_both(board: SimBoard, seed: u64, span: Nanos) -> [Found; 2] {
     thread::scope(|scope| {
-        let calm = scope.spawn(|| polling_is_on_time(seed, span, Traffic::Calm));
-        let rough = polling_is_on_time(seed, span, Traffic::Rough);
+        let calm = scope.spawn(|| polling_is_on_time(board, seed, span, Traffic::Calm));
+        let rough = polling_is_on_time(board, seed, span, Traffic::Rough);
         [calm.join().unwrap_or_else(|panic| resume_unwind(panic)), rough]
     })
 }
 
-fn plan(seed: u64, traffic: Traffic) -> Plan {
-    let mut settings = Settings::new(seed);
+fn plan(board: SimBoard, seed: u64, traffic: Traffic) -> Plan {
+    let mut settings = Settings::new(board, seed);
     settings.node_delay = Delay::Uniform(50 * MICROS, 200 * MICROS);
     let calm = Plan {
         settings,
@@ -116,6 +118,8 @@ fn plan(seed: u64, traffic: Traffic) -> Plan {
 
 struct Course<'q> {
     run: Run<'q>,
+    /// The bus of the polled sensor, and its node there.
+    polled: (Port, u8),
     /// When the first period began.
     begun: Moment,
     sequence: u32,
@@ -125,14 +129,17 @@ struct Course<'q> {
 }
 
 impl<'q> Course<'q> {
-    fn new(plan: Plan, queues: &'q mut [UartBuffers; 3]) -> Self {
+    fn new(plan: Plan, queues: &'q mut [UartBuffers]) -> Self {
+        let route = plan.settings.network.route(POLLED).map(|(_, route)| *route);
+        let polled = route.and_then(|route| Some((route.target.port()?, route.remote_of(POLLED))));
         let mut run = Run::new(plan, queues);
         run.master.polls = true;
         // what takes one transfer, and less than half a period
         run.questions.longest = 19;
         // what the bridge itself reads
         run.questions.shortest_sample = SAMPLE_LENGTH as u8 + 1;
-        Self { run, begun: Moment::default(), sequence: 0, ends: VecDeque::new(), compared: 0 }
+        let polled = polled.unwrap_or((Port::HOST, 0));
+        Self { run, polled, begun: Moment::default(), sequence: 0, ends: VecDeque::new(), compared: 0 }
     }
 
     /// Sets the slot; whether the bridge says so.
@@ -161,8 +168,8 @@ impl<'q> Course<'q> {
     }
 
     fn notice(&mut self, notice: &Notice, found: &mut Found) {
-        let Notice::BridgeHears(frame) = notice else { return };
-        if !ends_transfer_of(frame, POLLED) {
+        let Notice::BridgeHears { port, frame } = notice else { return };
+        if *port != self.polled.0 || !ends_transfer_of(frame, self.polled.1) {
             return;
         }
         // what came with the transfer before this one

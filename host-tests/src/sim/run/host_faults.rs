@@ -2,13 +2,12 @@
 
 use super::{BURST_ENDS, Run, SILENCE};
 use crate::sim::fault::Fault;
-use crate::sim::master::is_nst;
 use crate::sim::moment::{MILLIS, Moment};
 use crate::sim::question::Question;
 use crate::sim::random::Random;
+use crate::sim::routes::{is_nst, unit_at};
 use crate::sim::station::{flip_bits, reseal};
-use jointbus_mcu_bridge::board::Topology;
-use jointbus_mcu_bridge::boards::stm32f405::BOARD;
+use jointbus_mcu_bridge::board::{Target, Topology};
 use jointbus_protocol::decode::STRAY_MAX;
 use jointbus_protocol::modbus::{self, AddressRange, rtu};
 use jointbus_protocol::nst::serial::encode_request;
@@ -143,7 +142,9 @@ impl Run<'_> {
                 reseal(&mut bytes);
             }
             Fault::HostUnknownFunction => {
-                let unit = self.random.between(16, 20) as u8;
+                let units = self.questions.units().iter().copied();
+                let sensors: Vec<u8> = units.filter(|unit| is_nst(&self.network, *unit)).collect();
+                let unit = self.random.pick(&sensors);
                 let function = self.random.pick(&[0x00, 0x01, 0x04, 0x06, 0x11, 0x7F, 0x83]);
                 bytes = vec![unit, function, 0, 0, 4, 0, 0];
                 reseal(&mut bytes);
@@ -152,7 +153,7 @@ impl Run<'_> {
                 let stray = 1 + self.random.index(STRAY_MAX);
                 bytes = (0..stray).map(|_| self.random.between(1, 254) as u8).collect();
                 let unit = self.random.pick(&[0, u8::MAX]);
-                bytes.extend(hidden_command(unit, &mut self.random));
+                bytes.extend(hidden_command(&self.network, unit, &mut self.random));
             }
             Fault::HostHiddenCommand | Fault::HostHiddenBehind => {
                 bytes = self.hiding(fault == Fault::HostHiddenBehind);
@@ -162,11 +163,28 @@ impl Run<'_> {
         bytes
     }
 
+    /// The first and the third unit of each route.
+    fn first_and_third_units(&self) -> Vec<u8> {
+        let rows = self.network.routes.iter().filter(|row| row.is_used());
+        rows.flat_map(|row| (row.first_unit..=row.last_unit).step_by(2).take(2)).collect()
+    }
+
+    /// The unit that a frame with something hidden inside is sent to: behind an RS485 bus, in either dialect if there are
+    /// both.
+    fn carrier(&mut self) -> Option<u8> {
+        let nst = self.random.below(2) == 0;
+        let buses = self.plan.settings.board.serial_buses();
+        let units = buses.filter_map(|port| unit_at(&self.network, port, 2));
+        let (preferred, others): (Vec<u8>, Vec<u8>) =
+            units.partition(|unit| is_nst(&self.network, *unit) == nst);
+        self.random.one_of(if preferred.is_empty() { &others } else { &preferred })
+    }
+
     /// A write that is wrong, with a command in its data that is right.
     fn hiding(&mut self, behind: bool) -> Vec<u8> {
-        let inner = self.random.pick(&[1, 3, 16, 18, 31, 32, 33, 40, 247]);
+        let inner = self.random.pick(&self.first_and_third_units());
         let mut data: Vec<u8> = (0..self.random.below(8)).map(|_| self.random.byte()).collect();
-        data.extend(hidden_command(inner, &mut self.random));
+        data.extend(hidden_command(&self.network, inner, &mut self.random));
         if self.random.below(2) == 0 && !behind {
             data.extend((0..self.random.below(8)).map(|_| self.random.byte()));
         }
@@ -174,22 +192,22 @@ impl Run<'_> {
             data.insert(0, 0x33);
         }
         let mut buffer = [0; rtu::FRAME_MAX];
-        let mut bytes = match self.random.below(2) {
-            0 => {
-                let request = nst::Request::Write { register: 0, data: &data };
-                encode_request(17, &request, &mut buffer).unwrap_or(&[]).to_vec()
-            }
-            _ => {
-                let range = AddressRange::new(0x60, (data.len() / 2) as u16);
-                let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
-                rtu::encode_request(33, &request, &mut buffer).unwrap_or(&[]).to_vec()
-            }
+        let outer = self.carrier().unwrap_or(0);
+        let in_nst = is_nst(&self.network, outer);
+        let frame = if in_nst {
+            let request = nst::Request::Write { register: 0, data: &data };
+            encode_request(outer, &request, &mut buffer)
+        } else {
+            let range = AddressRange::new(0x60, (data.len() / 2) as u16);
+            let request = modbus::Request::WriteMultipleRegisters { range, data: &data };
+            rtu::encode_request(outer, &request, &mut buffer)
         };
+        let mut bytes = frame.unwrap_or(&[]).to_vec();
         let end = bytes.len() - 1;
         if behind {
             // what follows the frame that the length byte tells is the command, up to the end
             bytes.truncate(end - 1);
-            let length = if bytes[0] == 17 { 4 } else { 6 };
+            let length = if in_nst { 4 } else { 6 };
             bytes[length] = self.random.below(4) as u8 & !1;
         } else {
             bytes[end] ^= 0x40;
@@ -199,16 +217,16 @@ impl Run<'_> {
 }
 
 /// A valid write of a number that nobody asked for.
-fn hidden_command(unit: u8, random: &mut Random) -> Vec<u8> {
+fn hidden_command(network: &Topology, unit: u8, random: &mut Random) -> Vec<u8> {
     let mut buffer = [0; rtu::FRAME_MAX];
     let token = 0xEE00_0000 | random.next() as u32 & 0x00FF_FFFF;
-    let network = Topology::of(BOARD);
-    if unit == u8::MAX || is_nst(&network, unit) {
+    if unit == u8::MAX || is_nst(network, unit) {
         let request = nst::Request::Write { register: 0, data: &token.to_be_bytes() };
         encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()
     } else {
+        let to_bridge = network.route(unit).is_some_and(|(_, row)| row.target == Target::Bridge);
         let request = modbus::Request::WriteMultipleRegisters {
-            range: AddressRange::new(if unit == 247 { 0 } else { 0x60 }, 2),
+            range: AddressRange::new(if to_bridge { 0 } else { 0x60 }, 2),
             data: &token.to_be_bytes(),
         };
         rtu::encode_request(unit, &request, &mut buffer).unwrap_or(&[]).to_vec()

@@ -1,7 +1,7 @@
 //! The line between the host and the bridge.
 
 use super::{Event, Notice, ToSend, World, micros};
-use crate::sim::recorder::Interface;
+use jointbus_mcu_bridge::board::Port;
 
 impl World<'_> {
     pub(super) fn host_goes_on(&mut self) {
@@ -26,7 +26,7 @@ impl World<'_> {
     pub(super) fn end_byte_to_bridge(&mut self) {
         let sent = self.to_bridge.pop_front();
         if let Some(ToSend::Unframed(_)) = sent {
-            self.board.on_framing_error(0);
+            self.firmware.on_framing_error(Port::HOST);
         }
         if let Some(ToSend::Byte(byte) | ToSend::Unframed(byte)) = sent {
             self.uarts[0].queues.received(byte, micros(self.now));
@@ -48,7 +48,7 @@ impl World<'_> {
         if let Some(byte) = self.to_host.take() {
             self.notices.push_back(Notice::HostHears(byte));
             if let Some(recorder) = &mut self.recorder {
-                recorder.bytes(Interface::Host, false, self.now, &[byte]);
+                recorder.bytes(Port::HOST, false, self.now, &[byte]);
             }
         }
         self.start_byte_to_host();

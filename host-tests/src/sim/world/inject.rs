@@ -5,8 +5,9 @@ use crate::sim::can_wire::Disturbance;
 use crate::sim::fault::{Fault, Place};
 use crate::sim::line::Tamper;
 use crate::sim::moment::{MICROS, MILLIS, Moment, Nanos};
+use crate::sim::routes;
+use crate::sim::settings::Settings;
 use jointbus_mcu_bridge::board::Port;
-use jointbus_mcu_bridge::boards::stm32f405::{CAN, RS485_A, RS485_B};
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::nst::can::segment;
 
@@ -15,34 +16,55 @@ const LONG: Nanos = 400 * MILLIS;
 const LONGEST: Nanos = 4000 * MILLIS;
 
 impl World<'_> {
-    /// Brings a fault about, now or with the next frame that it concerns. The answer is when it is over, as far as that
-    /// can be told by now; [`World::is_armed`] tells whether it still waits for a frame. Faults of the host's line are
-    /// the host's business.
+    /// Brings a fault about on some bus, now or with the next frame that it concerns. The answer is when it is over, as
+    /// far as that can be told by now; [`World::is_armed`] tells whether it still waits for a frame. Faults of the host's
+    /// line are the host's business, and those of a bus that the board does not have don't come.
     pub fn inject(&mut self, fault: Fault) -> Moment {
-        let port = match fault {
-            Fault::ReplyException => RS485_B,
-            _ => self.random.pick(&[RS485_A, RS485_B]),
+        let Settings { board, network, .. } = &self.settings;
+        let fits = |port: &Port| fault != Fault::ReplyException || routes::speaks_modbus(network, *port);
+        let serial: Vec<Port> = board.serial_buses().filter(fits).collect();
+        let can: Vec<Port> = board.can_buses().collect();
+        let (serial, can) = (self.random.one_of(&serial), self.random.one_of(&can));
+        let bus = match fault.place() {
+            Place::Serial => serial,
+            Place::Can => can,
+            Place::Host => None,
         };
-        self.inject_at(fault, port)
+        bus.map_or(self.now, |bus| self.inject_at(fault, bus))
     }
 
-    /// The same, on this RS485 line if it is a fault of such a line.
+    /// The same, on this bus.
+    ///
+    /// # Panics
+    /// Where the fault is none of such a bus.
     pub fn inject_at(&mut self, fault: Fault, port: Port) -> Moment {
         match fault.place() {
-            Place::Serial => self.inject_serial(fault, usize::from(port == RS485_B)),
-            Place::Can => self.inject_can(fault),
+            Place::Serial => self.inject_serial(fault, self.line_of(port)),
+            Place::Can => self.inject_can(fault, self.net_of(port)),
             Place::Host => self.now,
         }
     }
 
     /// Takes the power of a device, or one module of a station, until that moment.
     pub fn set_absent(&mut self, port: Port, index: usize, until: Moment) {
-        match port {
-            RS485_A => self.lines[0].devices[index].absent = until,
-            RS485_B => self.lines[1].devices[0].without = (until > self.now).then_some(index),
-            CAN => self.darken(&[index], until),
-            _ => {}
+        if let Some(bus) = self.lines.iter_mut().find(|bus| bus.port == port) {
+            match &mut bus.devices[..] {
+                [station] if !bus.is_nst => station.without = (until > self.now).then_some(index),
+                sensors => sensors[index].absent = until,
+            }
+        } else {
+            self.darken(self.net_of(port), &[index], until);
         }
+    }
+
+    fn line_of(&self, port: Port) -> usize {
+        let place = self.lines.iter().position(|bus| bus.port == port);
+        place.unwrap_or_else(|| panic!("{port:?} is no RS485 bus"))
+    }
+
+    fn net_of(&self, port: Port) -> usize {
+        let place = self.nets.iter().position(|net| net.port == port);
+        place.unwrap_or_else(|| panic!("{port:?} is no CAN bus"))
     }
 
     /// Whether a fault still waits for a frame that it concerns.
@@ -52,7 +74,7 @@ impl World<'_> {
             .lines
             .iter()
             .any(|bus| !bus.armed.is_empty() || bus.line.is_tampered() || bus.hold > 0 || bus.mute > 0);
-        serial || !self.can_armed.is_empty() || !self.can.disturbances.is_empty()
+        serial || self.nets.iter().any(|net| !net.armed.is_empty() || !net.wire.disturbances.is_empty())
     }
 
     fn inject_serial(&mut self, fault: Fault, line: usize) -> Moment {
@@ -113,39 +135,40 @@ impl World<'_> {
         self.random.between(MILLIS, longest)
     }
 
-    fn inject_can(&mut self, fault: Fault) -> Moment {
+    fn inject_can(&mut self, fault: Fault, can: usize) -> Moment {
         let (now, span) = (self.now, self.span());
-        let sender = self.random.index(1 + self.nodes.len());
-        let intruder = self.nodes.len() + 1;
-        let own = self.settings.network.ports[CAN.index()].node;
+        let net = &mut self.nets[can];
+        let sender = self.random.index(1 + net.nodes.len());
+        let intruder = net.nodes.len() + 1;
+        let own = self.settings.network.ports[net.port.index()].node;
         match fault {
             Fault::CanBit => {
                 let at = self.random.between(1, 120);
-                self.can.disturbances.push_back((sender, Disturbance::Bit(at)));
+                net.wire.disturbances.push_back((sender, Disturbance::Bit(at)));
             }
             Fault::CanBusOff => {
                 let at = self.random.between(1, 60);
                 let bits = std::iter::repeat_n((BRIDGE, Disturbance::Bit(at)), TO_BUS_OFF);
-                self.can.disturbances.extend(bits);
+                net.wire.disturbances.extend(bits);
             }
-            Fault::CanFrameLost => self.can.disturbances.push_back((sender, Disturbance::Lost)),
+            Fault::CanFrameLost => net.wire.disturbances.push_back((sender, Disturbance::Lost)),
             // the bridge's own frame arriving twice would be a command carried out twice, and nobody's fault but CAN's
             Fault::CanFrameDoubled => {
-                self.can.disturbances.push_back((sender.max(1), Disturbance::Doubled));
+                net.wire.disturbances.push_back((sender.max(1), Disturbance::Doubled));
             }
             Fault::CanNoAcknowledgement => {
-                let all: Vec<usize> = (0..self.nodes.len()).collect();
-                self.darken(&all, now.saturating_add(span));
+                let all: Vec<usize> = (0..net.nodes.len()).collect();
+                self.darken(can, &all, now.saturating_add(span));
                 return now.saturating_add(span);
             }
             Fault::CanDeviceDead => {
-                let node = self.random.index(self.nodes.len());
-                self.darken(&[node], now.saturating_add(span));
+                let node = self.random.index(net.nodes.len());
+                self.darken(can, &[node], now.saturating_add(span));
                 return now.saturating_add(span);
             }
             Fault::CanDominant => {
                 let end = now.saturating_add(span);
-                self.hold_can(end);
+                self.hold_can(can, end);
                 return end;
             }
             Fault::CanForeignTraffic
@@ -153,12 +176,13 @@ impl World<'_> {
             | Fault::CanStandardFrames
             | Fault::CanForeignTransfer => {
                 let frames = self.foreign_frames(fault, own);
-                let end = now.saturating_add(self.can.bits(160) * frames.len() as u64);
-                self.can.controllers[intruder].outbox.extend(frames);
-                self.move_can();
+                let wire = &mut self.nets[can].wire;
+                let end = now.saturating_add(wire.bits(160) * frames.len() as u64);
+                wire.controllers[intruder].outbox.extend(frames);
+                self.move_can(can);
                 return end;
             }
-            _ => self.can_armed.push_back(fault),
+            _ => net.armed.push_back(fault),
         }
         now
     }
@@ -198,14 +222,14 @@ impl World<'_> {
         }
     }
 
-    /// Holds the CAN bus dominant until `end`.
-    fn hold_can(&mut self, end: Moment) {
-        if let Some(victim) = self.can.hold_dominant(self.now, end) {
-            self.failed_frame(victim);
+    /// Holds a CAN bus dominant until `end`.
+    fn hold_can(&mut self, can: usize, end: Moment) {
+        if let Some(victim) = self.nets[can].wire.hold_dominant(self.now, end) {
+            self.failed_frame(can, victim);
         }
-        self.can_released = Some(end);
-        self.can_looks_again(end);
+        self.nets[can].released = Some(end);
+        self.can_looks_again(can, end);
         // the bus is looked at again when it is idle
-        self.can_looks_again(end.saturating_add(20 * MICROS));
+        self.can_looks_again(can, end.saturating_add(20 * MICROS));
     }
 }

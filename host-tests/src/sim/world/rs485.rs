@@ -4,7 +4,6 @@ use super::{BRIDGE, Event, Notice, World, micros};
 use crate::sim::fault::Fault;
 use crate::sim::line::Tamper;
 use crate::sim::moment::Moment;
-use crate::sim::recorder::Interface;
 use crate::sim::station::{self, timeout_of};
 
 impl World<'_> {
@@ -53,12 +52,11 @@ impl World<'_> {
         for _ in 0..if heard.twice { 2 } else { 1 } {
             let Some(byte) = heard.byte else { break };
             if let Some(recorder) = &mut self.recorder {
-                let interface = if line == 0 { Interface::Rs485A } else { Interface::Rs485B };
-                recorder.bytes(interface, sender == BRIDGE, self.now, &[byte]);
+                recorder.bytes(port, sender == BRIDGE, self.now, &[byte]);
             }
             if sender != BRIDGE || echo {
                 if heard.framing {
-                    self.board.on_framing_error(line + 1);
+                    self.firmware.on_framing_error(port);
                 }
                 self.uarts[line + 1].queues.received(byte, micros(self.now));
                 self.interrupt();
@@ -116,11 +114,11 @@ impl World<'_> {
         if reply.is_empty() {
             return;
         }
-        let timeout = timeout_of(line == 0, reply.get(1).copied());
+        let timeout = timeout_of(bus.is_nst, reply.get(1).copied());
         let mut delay = station.delay.draw(timeout, &mut self.random);
         let mut again = None;
         // an exception is something that only Modbus has
-        let fits = |fault: &Fault| *fault != Fault::ReplyException || line == 1;
+        let fits = |fault: &Fault| *fault != Fault::ReplyException || !bus.is_nst;
         let fault = match bus.armed.front() {
             Some(fault) if fits(fault) => bus.armed.pop_front(),
             _ => None,
