@@ -1,7 +1,7 @@
 //! The boards that are simulated: the reference board, a small one and a large one.
 
 use jointbus_mcu_bridge::board::{
-    Analog, Board, Description, Limits, LocalKind, LocalUnits, Outputs, Port, PortConfig, PortDescription,
+    Analog, Board, Description, Identification, Limits, LocalKind, LocalUnits, Outputs, Port, PortConfig, PortDescription,
     PortKind, Protocol, Route, Target, UartClock,
 };
 use jointbus_mcu_bridge::boards::stm32f405::{self, Stm32f405};
@@ -29,6 +29,7 @@ impl Board for Small {
     const DESCRIPTION: &'static Description = &Description {
         number: 0x8001,
         name: "small",
+        identification: Identification::JOINTBUS,
         ports: &[
             serial("host", PortConfig::serial(921_600, 0)),
             serial("rs485", PortConfig::serial(115_200, 0)),
@@ -51,6 +52,7 @@ impl Board for Large {
     const DESCRIPTION: &'static Description = &Description {
         number: 0x8002,
         name: "large",
+        identification: Identification::JOINTBUS,
         ports: &[
             serial("host", PortConfig::serial(921_600, 0)),
             serial("rs485-a", PortConfig::serial(115_200, 0)),

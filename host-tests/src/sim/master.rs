@@ -7,7 +7,7 @@ use super::moment::{MILLIS, Moment, Nanos};
 use super::question::{Fit, Question};
 use super::routes::{is_nst, port_of, speaks_modbus, speaks_nst, unit_at};
 use super::settings::Settings;
-use super::station::SerialDevice;
+use super::station::{SerialDevice, device_number};
 use super::tally::Tally;
 use super::world::World;
 use jointbus::devices::Order;
@@ -215,6 +215,7 @@ impl Master {
         }
         let remote = self.network.route(unit).map_or(0, |(_, route)| route.remote_of(unit));
         let port = port_of(&self.network, unit);
+        let number = port.map_or(0, |port| device_number(port, remote));
         let place = &mut self.units[usize::from(unit)];
         let measured = place.measured;
         let mut found = None;
@@ -222,7 +223,7 @@ impl Master {
         for (index, asked) in place.open.iter().enumerate() {
             let fresh = |moment: Instant| moment >= asked.at.instant() && moment > measured;
             let done = |token| self.written.get(&token).is_some_and(|written| written.by != 0);
-            match asked.question.fit(remote, reply) {
+            match asked.question.fit(number, reply) {
                 _ if asked.overtaken || now > asked.over => {}
                 // a bus has one request in flight: the one that was sent last
                 _ if asked.superseded.is_some_and(|at| now.saturating_duration_since(at) > BACKLOG) => {}
@@ -409,10 +410,11 @@ fn is_genuine(world: &World<'_>, (port, remote): (Option<Port>, u8), reply: &[u8
             })
         }
         [0x03, count, data @ ..] => {
-            let sample = matches!(Question::Sample { length: *count }.fit(remote, reply), Fit::At(_));
+            let number = port.map_or(0, |port| device_number(port, remote));
+            let sample = matches!(Question::Sample { length: *count }.fit(number, reply), Fit::At(_));
             let pattern = super::station::PATTERN.clone().any(|register| {
                 let question = Question::Pattern { register, length: *count };
-                question.fit(remote, reply) == Fit::Right
+                question.fit(number, reply) == Fit::Right
             });
             sample || (pattern && data.len() >= 3)
         }

@@ -87,7 +87,9 @@ pub use random::Random;
 pub use recorder::Recorder;
 pub use run::Run;
 pub use settings::Settings;
-pub use station::{CanStation, LAYOUT, MODULES, PATTERN, SCRATCH, SerialDevice, SerialStation, pattern};
+pub use station::{
+    CanStation, LAYOUT, MODULES, PATTERN, SCRATCH, SerialDevice, SerialStation, device_number, pattern,
+};
 pub use tally::Tally;
 pub use trial::Trial;
 pub use world::{Notice, World};

@@ -274,11 +274,13 @@ impl Question {
         rtu::encode_request(unit, &request, &mut buffer).unwrap_or_else(|_| unreachable!("it fits")).to_vec()
     }
 
-    /// Whether a reply, from function code on, answers this question to the device at `remote`.
+    /// Whether a reply, from function code on, answers this question to the device with this
+    /// [number](super::device_number).
     #[must_use]
-    pub fn fit(&self, remote: u8, reply: &[u8]) -> Fit {
+    pub fn fit(&self, device: u8, reply: &[u8]) -> Fit {
         let right = |fits: bool| if fits { Fit::Right } else { Fit::Wrong };
-        let request = self.frame(remote);
+        // whatever the unit is
+        let request = self.frame(0);
         match (*self, reply) {
             (Self::Sample { length }, [0x03, count, axes @ ..])
                 if length == *count && axes.len() == usize::from(length) =>
@@ -290,7 +292,7 @@ impl Question {
                     .map_or(Fit::Wrong, Fit::At)
             }
             (Self::Pattern { register, length }, [0x03, count, data @ ..]) => {
-                let expected = (register..).map(|register| pattern(remote, register));
+                let expected = (register..).map(|register| pattern(device, register));
                 right(
                     *count == length
                         && data.len() == usize::from(length)

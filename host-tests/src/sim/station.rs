@@ -8,6 +8,7 @@ use super::random::Random;
 use jointbus::devices::{
     CanBus, Motion, NdamLine, NstCan, NstSerial, Order, PROMPT, Sensor, SerialLine, Wiring,
 };
+use jointbus_mcu_bridge::board::Port;
 use jointbus_protocol::can::{Frame, Id};
 use jointbus_protocol::checksum;
 use jointbus_protocol::modbus::ascii;
@@ -28,7 +29,14 @@ pub const PATTERN: std::ops::Range<u16> = 0x0040..0x0173;
 /// Registers of a sensor that are written.
 pub const SCRATCH: std::ops::Range<u16> = 0x0000..0x0040;
 
-/// What a sensor has in a register of [`PATTERN`]: three bytes in a row name their place.
+/// The number of a device, which no other one has, on whatever bus.
+#[must_use]
+pub const fn device_number(port: Port, address: u8) -> u8 {
+    port.number() << 5 | address & 0x1F
+}
+
+/// What a sensor has in a register of [`PATTERN`]: three bytes in a row name their place. The device is a
+/// [`device_number`].
 #[must_use]
 pub const fn pattern(device: u8, register: u16) -> u8 {
     let mixed =
@@ -37,9 +45,9 @@ pub const fn pattern(device: u8, register: u16) -> u8 {
 }
 
 /// A sensor for the simulation: its axes spell the moment, its registers hold [`pattern`].
-fn sensor(address: u8, wiring: Wiring) -> Sensor {
+fn sensor(port: Port, address: u8, wiring: Wiring) -> Sensor {
     let mut sensor = Sensor::new(address, wiring, Motion::spelling());
-    let bytes: Vec<u8> = PATTERN.map(|register| pattern(address, register)).collect();
+    let bytes: Vec<u8> = PATTERN.map(|register| pattern(device_number(port, address), register)).collect();
     let written = sensor.daq().hardware().settings.write(PATTERN.start, &bytes);
     assert!(written.is_ok(), "registers that are never written hold anything");
     sensor
@@ -74,10 +82,10 @@ pub struct SerialStation {
 }
 
 impl SerialStation {
-    /// A sensor at `address`, for which `silence` ends a burst.
+    /// A sensor at `address` on the bus of a port, for which `silence` ends a burst.
     #[must_use]
-    pub fn sensor(address: u8, silence: Duration, delay: Delay) -> Self {
-        let line = NstSerial::new(silence).with(sensor(address, Wiring::Rs485));
+    pub fn sensor(port: Port, address: u8, silence: Duration, delay: Delay) -> Self {
+        let line = NstSerial::new(silence).with(sensor(port, address, Wiring::Rs485));
         Self::new(SerialDevice::Sensor(Box::new(line)), delay)
     }
 
@@ -177,10 +185,10 @@ pub struct CanStation {
 }
 
 impl CanStation {
-    /// A sensor as this node.
+    /// A sensor as this node of the bus of a port.
     #[must_use]
-    pub fn sensor(node: u8, delay: Delay) -> Self {
-        let device = NstCan::new(PROMPT).with(sensor(node, Wiring::Can));
+    pub fn sensor(port: Port, node: u8, delay: Delay) -> Self {
+        let device = NstCan::new(PROMPT).with(sensor(port, node, Wiring::Can));
         Self { node, device, delay, absent: Moment::default(), replies: VecDeque::new(), orders_seen: 0 }
     }
 

@@ -374,7 +374,9 @@ impl Bus {
             // a device that hears a foreign frame is ready again before the next one
             let silence = Duration::from_micros(config.characters(3).as_micros());
             let sensors = 1..=settings.sensors;
-            sensors.map(|address| SerialStation::sensor(address, silence, settings.sensor_delay)).collect()
+            sensors
+                .map(|address| SerialStation::sensor(port, address, silence, settings.sensor_delay))
+                .collect()
         } else {
             let is_ascii = protocol == Some(Protocol::ModbusAscii);
             vec![SerialStation::station(settings.station_delay, is_ascii)]
@@ -401,7 +403,7 @@ impl Bus {
 impl CanNet {
     fn new(settings: &Settings, port: Port) -> Self {
         let nodes: Vec<_> =
-            (1..=settings.nodes).map(|node| CanStation::sensor(node, settings.node_delay)).collect();
+            (1..=settings.nodes).map(|node| CanStation::sensor(port, node, settings.node_delay)).collect();
         // the bridge, the nodes, the intruder
         let mut wire = CanWire::new(settings.network.ports[port.index()].rate.into(), nodes.len() + 2);
         wire.controllers[CONTROLLER].waits_for_restart = true;
