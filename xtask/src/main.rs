@@ -13,6 +13,7 @@ mod fresh;
 mod fuzz;
 #[allow(dead_code, reason = "the step that runs it comes when the crates have no circle")]
 mod imports;
+mod length;
 mod miri;
 mod msrv;
 mod portable;

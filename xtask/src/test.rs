@@ -8,7 +8,7 @@ use clap::Args;
 use crate::progress::shown;
 use crate::setup::TARGETS;
 use crate::workspace::Workspace;
-use crate::{agreement, bench, firmware, fuzz, miri, msrv, portable, probe, run, setup};
+use crate::{agreement, bench, firmware, fuzz, length, miri, msrv, portable, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 pub(crate) const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -46,9 +46,12 @@ static STEPS: &[Step] = &[
     Step {
         name: "format",
         seconds: 2,
-        about: "the code is formatted",
+        about: "the code is formatted, and no file of it is long",
         prepare: setup::components,
-        run: |workspace| run::shown(workspace.cargo().args(["fmt", "--all", "--", "--check"])),
+        run: |workspace| {
+            run::shown(workspace.cargo().args(["fmt", "--all", "--", "--check"]))?;
+            length::check(workspace)
+        },
     },
     Step {
         name: "clippy",
