@@ -11,7 +11,6 @@ mod emulate;
 mod firmware;
 mod fresh;
 mod fuzz;
-#[allow(dead_code, reason = "the step that runs it comes when the crates have no circle")]
 mod imports;
 mod length;
 mod miri;

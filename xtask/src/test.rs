@@ -8,7 +8,7 @@ use clap::Args;
 use crate::progress::shown;
 use crate::setup::TARGETS;
 use crate::workspace::Workspace;
-use crate::{agreement, bench, firmware, fuzz, length, miri, msrv, portable, probe, run, setup};
+use crate::{agreement, bench, firmware, fuzz, imports, length, miri, msrv, portable, probe, run, setup};
 
 /// Tells the tests where the image is, as an ELF file.
 pub(crate) const IMAGE: &str = "JOINTBUS_IMAGE";
@@ -52,6 +52,13 @@ static STEPS: &[Step] = &[
             run::shown(workspace.cargo().args(["fmt", "--all", "--", "--check"]))?;
             length::check(workspace)
         },
+    },
+    Step {
+        name: "imports",
+        seconds: 1,
+        about: "no modules of the library crates import each other",
+        prepare: |_| Ok(()),
+        run: imports::check,
     },
     Step {
         name: "clippy",
