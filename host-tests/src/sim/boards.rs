@@ -1,8 +1,8 @@
 //! The boards that are simulated: the reference board, a small one and a large one.
 
 use jointbus_mcu_bridge::board::{
-    Analog, Board, Description, Identification, Limits, LocalKind, LocalUnits, Outputs, Port, PortConfig, PortDescription,
-    PortKind, Protocol, Route, Target, UartClock,
+    Analog, Board, Description, Identification, Limits, LocalKind, LocalUnits, Outputs, Port, PortConfig,
+    PortDescription, PortKind, Protocol, Route, Target, UartClock,
 };
 use jointbus_mcu_bridge::boards::stm32f405::{self, Stm32f405};
 use jointbus_mcu_bridge::engine::{AnyEngine, Engine, Identity, ResetCause};
