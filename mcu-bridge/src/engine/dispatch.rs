@@ -9,10 +9,11 @@ use super::queue::QueueFull;
 use super::request::{Expected, Request};
 use super::slab::Content;
 use crate::board::{Board, LocalUnits, Port, Route, Target};
+use jointbus_protocol::checksum::CRC_LENGTH;
 use jointbus_protocol::decode::{DecodeError, Dropped, Event, FrameEvent, FrameLength};
 use jointbus_protocol::modbus::{self, ExceptionCode, rtu};
+use jointbus_protocol::nst;
 use jointbus_protocol::time::Instant;
-use jointbus_protocol::{checksum, nst};
 
 impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
     /// Takes what came out of the host's bytes.
@@ -44,7 +45,9 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
 
     /// A valid frame from the host.
     fn request(&mut self, frame: &[u8], now: Instant) {
-        let Some((&unit, body)) = checksum::strip_crc(frame).and_then(<[u8]>::split_first) else { return };
+        // the decoder has looked at the CRC
+        let Some((content, _)) = frame.split_last_chunk::<CRC_LENGTH>() else { return };
+        let Some((&unit, body)) = content.split_first() else { return };
         match unit {
             modbus::BROADCAST => self.broadcast_modbus(unit, body, now),
             nst::BROADCAST => {
