@@ -59,6 +59,7 @@
 use crate::board::Port;
 use crate::engine::AnyEngine;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+use heapless::Vec;
 use jointbus_protocol::modbus::rtu;
 use jointbus_protocol::time::Instant;
 
@@ -128,15 +129,13 @@ impl<const N: usize> Ring<N> {
         let put = self.ends.put.load(Ordering::Relaxed);
         let used = put.wrapping_sub(self.ends.taken.load(Ordering::Acquire));
         let room = (N as u32).saturating_sub(used) as usize;
-        let mut next = put;
-        for byte in bytes.iter().take(room) {
-            if let Some(place) = self.bytes.get((next & Self::MASK) as usize) {
-                place.store(*byte, Ordering::Relaxed);
-            }
-            next = next.wrapping_add(1);
-        }
-        self.ends.put.store(next, Ordering::Release);
-        next.wrapping_sub(put) as usize
+        let bytes = bytes.get(..room).unwrap_or(bytes);
+        let (before, behind) = self.bytes.split_at_checked((put & Self::MASK) as usize).unwrap_or_default();
+        let (first, rest) = bytes.split_at_checked(behind.len()).unwrap_or((bytes, &[]));
+        store_all(behind, first);
+        store_all(before, rest);
+        self.ends.put.store(put.wrapping_add(bytes.len() as u32), Ordering::Release);
+        bytes.len()
     }
 
     fn take(&self) -> Option<u8> {
@@ -148,6 +147,11 @@ impl<const N: usize> Ring<N> {
         self.ends.taken.store(taken.wrapping_add(1), Ordering::Release);
         Some(byte)
     }
+}
+
+/// Stores bytes at the front of `places`.
+fn store_all(places: &[AtomicU8], bytes: &[u8]) {
+    places.iter().zip(bytes).for_each(|(place, byte)| place.store(*byte, Ordering::Relaxed));
 }
 
 /// Rings of a port, with room for `IN` received bytes.
@@ -414,20 +418,19 @@ impl MainHalf<'_> {
     fn carry_until(&mut self, until: u32, engine: &mut (impl AnyEngine + ?Sized), port: Port, now: Instant) {
         let mut taken = self.ends.taken.load(Ordering::Relaxed);
         while taken != until {
-            let (mut chunk, mut length) = ([0; CHUNK], 0usize);
-            for place in &mut chunk {
-                if taken == until {
-                    break;
-                }
+            let mut chunk = Vec::<u8, CHUNK>::new();
+            while taken != until {
                 // the length is a power of two
                 let index = taken as usize & self.bytes.len().wrapping_sub(1);
-                *place = self.bytes.get(index).map_or(0, |byte| byte.load(Ordering::Relaxed));
+                let byte = self.bytes.get(index).map_or(0, |byte| byte.load(Ordering::Relaxed));
+                if chunk.push(byte).is_err() {
+                    break;
+                }
                 taken = taken.wrapping_add(1);
-                length = length.wrapping_add(1);
             }
             self.ends.taken.store(taken, Ordering::Release);
             let at = extend_timestamp(now, self.shared.last_byte.load(Ordering::Relaxed));
-            engine.receive(port, chunk.get(..length).unwrap_or(&chunk), at);
+            engine.receive(port, &chunk, at);
         }
     }
 
