@@ -94,11 +94,16 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
     ///
     /// Bytes and [`transmit_complete`](Self::transmit_complete) may be handed over in any order: their times decide.
     pub fn receive(&mut self, port: Port, bytes: &[u8], now: Instant) {
-        self.core.shared.idle_until = AT_ONCE;
         if port == Port::HOST {
-            self.receive_host(bytes, now);
-        } else if let Some((bus, mut cx)) = self.core.serial(port) {
+            return self.receive_host(bytes, now);
+        }
+        if let Some((bus, mut cx)) = self.core.serial(port) {
+            let waiting = bus.waiting_since();
             bus.receive(bytes, now, &mut cx);
+            // a part of a response leaves all else as it was
+            let same = waiting.is_some() && bus.waiting_since() == waiting;
+            let due = if same { bus.deadline(cx.config) } else { AT_ONCE };
+            self.core.shared.idle_until = self.core.shared.idle_until.min(due);
         }
     }
 
@@ -106,8 +111,13 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         let Self { host, core } = self;
         host.set_silence(core.shared.settings.limits.burst_silence());
         while let Some(event) = host.feed(&HostFraming(core.shared.routes()), &mut bytes, now) {
+            core.shared.idle_until = AT_ONCE;
             core.take(&event, now);
             core.make_change(now);
+        }
+        // a part of a frame is nothing to do before silence ends it
+        if let Some(end) = host.deadline() {
+            core.shared.idle_until = core.shared.idle_until.min(end);
         }
     }
 
@@ -169,9 +179,9 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
 
     /// On an RS485 port the last stop bit of all that it took left at `now`, and the driver is off.
     pub fn transmit_complete(&mut self, port: Port, now: Instant) {
-        self.core.shared.idle_until = AT_ONCE;
         if let Some((bus, mut cx)) = self.core.serial(port) {
             bus.transmitted(now, &mut cx);
+            self.core.shared.idle_until = AT_ONCE;
         }
     }
 
@@ -179,9 +189,13 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
     ///
     /// Frames and [`frame_sent`](Self::frame_sent) may be handed over in any order: their times decide.
     pub fn receive_frame(&mut self, port: Port, frame: &Frame, now: Instant) {
-        self.core.shared.idle_until = AT_ONCE;
         if let Some((bus, mut cx)) = self.core.can(port) {
+            let waiting = bus.waiting_since();
             bus.receive(frame, now, &mut cx);
+            // a part of a response leaves all else as it was
+            let same = waiting.is_some() && bus.waiting_since() == waiting;
+            let due = if same { bus.deadline() } else { AT_ONCE };
+            self.core.shared.idle_until = self.core.shared.idle_until.min(due);
         }
     }
 
@@ -300,8 +314,8 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         self.core.shared.idle_until = self.next_due();
     }
 
-    /// Tells whether [`poll`](Self::poll) has nothing to do at `now`: nothing was handed in or out since the last time,
-    /// nothing is due, and no action is left. It costs less than [`poll_at`](Self::poll_at).
+    /// Tells whether [`poll`](Self::poll) has nothing to do at `now`: since the last time nothing but parts of frames
+    /// was handed in and nothing out, nothing is due, and no action is left. It costs less than [`poll_at`](Self::poll_at).
     #[must_use]
     pub fn is_idle(&self, now: Instant) -> bool {
         now < self.core.shared.idle_until && self.core.shared.actions.is_empty()

@@ -142,6 +142,14 @@ impl SerialBus {
         result
     }
 
+    /// When the request left whose response is waited for.
+    pub(super) fn waiting_since(&self) -> Option<Instant> {
+        match self.flight.as_ref()?.phase {
+            Phase::Waiting { sent, .. } => Some(sent),
+            _ => None,
+        }
+    }
+
     /// Tells whether a request has to wait for a late response.
     pub(super) fn holds(&self, request: &Request, now: Instant) -> bool {
         self.queue.late.holds(request, now)

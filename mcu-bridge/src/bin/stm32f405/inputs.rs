@@ -1,6 +1,6 @@
 //! The board's eight digital and four analog inputs.
 //!
-//! The converter is asked one channel after the other and never waited for: each turn of the main loop looks whether it
+//! The converter is asked one channel after the other and never waited for: each tick the main loop looks whether it
 //! is done. One that does not get done in time fails until a whole round has been converted again.
 
 use crate::constants::{ADC_CHANNELS, ADC_LIMIT_US};

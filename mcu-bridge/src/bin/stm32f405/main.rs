@@ -229,9 +229,17 @@ mod app {
         let mut todo = Todo::default();
         loop {
             let now = local.clock.now();
-            let analog = local.inputs.analog(now.as_micros() as u32);
-            engine.units_mut().1.set_inputs(local.inputs.digital(), analog);
-            heartbeats.set(Task::Inputs);
+            // a tick that comes between the two is one of many
+            let ticked = TICKED.load(Ordering::Relaxed);
+            if ticked {
+                TICKED.store(false, Ordering::Relaxed);
+                // what no interrupt tells of is looked at once a tick, lest each byte pays for it
+                let analog = local.inputs.analog(now.as_micros() as u32);
+                engine.units_mut().1.set_inputs(local.inputs.digital(), analog);
+                if local.can.is_some() {
+                    engine.set_bus_off(CAN, bxcan::is_bus_off(can()), now);
+                }
+            }
             let mut came = false;
             for line in local.lines.iter_mut() {
                 came |= line.queues.drain_rx(engine, line.port, now);
@@ -240,15 +248,11 @@ mod app {
                 carry_can_in(engine, local.frames, now);
                 came = true;
             }
-            if came {
+            if came && !engine.is_idle(now) {
                 // a request or a reply is not to wait for what is due beside it
                 carry_out(engine, local.lines, local.can.is_some(), &mut todo, now);
             }
             let has_output = todo.output || todo.abort || !engine.is_idle(now);
-            if local.can.is_some() {
-                engine.set_bus_off(CAN, bxcan::is_bus_off(can()), now);
-            }
-
             while let Some(action) = engine.poll(now) {
                 match action {
                     Action::Outputs => {
@@ -271,24 +275,23 @@ mod app {
             if has_output {
                 carry_out(engine, local.lines, local.can.is_some(), &mut todo, now);
             }
-            for line in local.lines.iter_mut() {
-                if line.queues.made_progress() {
-                    heartbeats.set(Task::Port(line.port));
+            if ticked {
+                for line in local.lines.iter_mut() {
+                    if line.queues.made_progress() {
+                        heartbeats.set(Task::Port(line.port));
+                    }
                 }
-            }
-            heartbeats.set(Task::Port(CAN));
-            let [host, ..] = &local.lines;
-            if todo.reboot && engine.output(host.port).is_empty() && host.queues.is_quiet() {
-                reset::by_command();
-            }
-            // a tick that comes between the two is one of many
-            if TICKED.load(Ordering::Relaxed) {
-                TICKED.store(false, Ordering::Relaxed);
                 heartbeats.set(Task::Tick);
-            }
-            heartbeats.set(Task::Loop);
-            if heartbeats.take_all() {
-                local.watchdog.feed();
+                heartbeats.set(Task::Inputs);
+                heartbeats.set(Task::Port(CAN));
+                heartbeats.set(Task::Loop);
+                if heartbeats.take_all() {
+                    local.watchdog.feed();
+                }
+                let [host, ..] = &local.lines;
+                if todo.reboot && engine.output(host.port).is_empty() && host.queues.is_quiet() {
+                    reset::by_command();
+                }
             }
             // an interrupt between the look and the sleep ends the sleep at once
             cortex_m::interrupt::free(|_| {
