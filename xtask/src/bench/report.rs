@@ -48,7 +48,7 @@ const COMPARISONS: [(&str, &str, &str); 3] = [
 ];
 
 /// What the bridge's figures are called.
-const BRIDGE: [(&str, &str, &str); 16] = [
+const BRIDGE: [(&str, &str, &str); 24] = [
     (bridge::IMAGE, "flash", "flash, B"),
     (bridge::IMAGE, "static RAM", "static RAM, B"),
     (bridge::IMAGE, "worst stack", "worst-case stack, B"),
@@ -60,9 +60,25 @@ const BRIDGE: [(&str, &str, &str); 16] = [
         "instructions from a reply's last frame to its first byte to the host",
     ),
     (bridge::IMAGE, "reply from RS485 to host, worst", "the same from a reply's last byte on RS485"),
+    (
+        bridge::IMAGE,
+        "request from host to CAN, worst",
+        "instructions from a request's last byte to its first frame for the CAN controller",
+    ),
     (bridge::IMAGE, "idle turn", "instructions of an idle turn of the main loop"),
     (bridge::IMAGE, "idle turn, worst", "the same, the longest that was seen"),
-    (bridge::WIRE, "main loop, us", "time of the main loop in the simulation, us"),
+    (bridge::IMAGE, "turn with nothing to do", "instructions of a turn that an interrupt woke for nothing"),
+    (bridge::IMAGE, "a byte from the host", "instructions of a byte from the host, without that"),
+    (bridge::IMAGE, "a byte to the host", "of a byte to the host"),
+    (bridge::IMAGE, "a read by CAN", "of a read by CAN, from its first byte to the last of its reply"),
+    (bridge::IMAGE, "a read by RS485", "of a read by RS485"),
+    (
+        bridge::IMAGE,
+        "saturated, share of the processor, %",
+        "share of the processor with all ports saturated both ways, %",
+    ),
+    (bridge::WIRE, "request, us", "time of the main loop in the simulation for a request, us"),
+    (bridge::WIRE, "reply, us", "the same for a reply, us"),
     (bridge::WIRE, "delay added to a read, us", "delay added to a read of an NST device on CAN, us"),
     (
         bridge::WIRE,

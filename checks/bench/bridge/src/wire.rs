@@ -1,7 +1,7 @@
 //! What the bridge adds to the times on the wire, in virtual time with exact wire timing.
 //!
-//! Its argument is the time from an interrupt until the main loop has done what it brought, in ns: what the image takes
-//! for it. It prints a line for each figure: subject, what, number, with tabs.
+//! Its arguments are the times from an interrupt until the main loop has done what it brought, in ns: what the image takes
+//! from a request's last byte to its frame, and from a reply's last frame to its first byte. It prints a line for each figure: subject, what, number, with tabs.
 
 use std::env;
 
@@ -33,19 +33,25 @@ const BRIDGE: u8 = 247;
 const FIRST_SLOT: u16 = 0x50;
 
 fn main() -> Result<()> {
-    let latency = env::args().nth(1).context("argument: the main loop's latency in ns")?.parse()?;
+    let argument =
+        |index| env::args().nth(index).context("arguments: latency of a request and of a reply in ns");
+    let (request, reply): (Nanos, Nanos) = (argument(1)?.parse()?, argument(2)?.parse()?);
+    let latency = request.max(reply);
     // the first one is ready at once, which leaves the most to the bridge
     let (_, rate) = transparent(latency, 0)?;
-    let mut added: f64 = 0.0;
+    let mut added = 0;
     let mut shares = Vec::new();
     for device in DEVICES.map(|micros| micros * MICROS) {
-        added = added.max(transparent(latency, device)?.0);
+        // the world has one latency: each way has a world in which it is right
+        let (asking, _) = transparent(request, device)?;
+        let (answering, _) = transparent(reply, device)?;
+        added = added.max(asking.to_bus + answering.to_host);
         let (reads, limit) = slots(latency, device)?;
         shares.push((100.0 * reads / limit, reads, limit, device));
     }
     shares.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (share, reads, limit, device) = shares[0];
-    show("delay added to a read, us", added / 1000.0);
+    show("delay added to a read, us", added as f64 / 1000.0);
     show("transparent reads a second", rate);
     show("slot reads a second", reads);
     show("slot reads a second, limit of the bus", limit);
@@ -65,24 +71,33 @@ fn settings(latency: Nanos, device: Nanos) -> Settings {
     settings
 }
 
-/// Reads one behind the other: the time that the bridge adds to one at most, in ns, and reads a second.
-fn transparent(latency: Nanos, device: Nanos) -> Result<(f64, f64)> {
+/// Times that the bridge adds to a read.
+#[derive(Debug, Clone, Copy, Default)]
+struct Added {
+    /// From the host's last byte to the request's first bit on CAN.
+    to_bus: Nanos,
+    /// From the reply's last frame to its first byte to the host.
+    to_host: Nanos,
+}
+
+/// Reads one behind the other: the times that the bridge adds at most, and reads a second.
+fn transparent(latency: Nanos, device: Nanos) -> Result<(Added, f64)> {
     let settings = settings(latency, device);
     let baud = u64::from(settings.network.ports[Port::HOST.index()].baud());
     let byte = 10 * SECONDS / baud;
     let mut queues = settings.board.queues();
     let mut world = World::new(settings, &mut queues);
-    let (start, mut worst) = (world.now(), 0);
+    let (start, mut worst) = (world.now(), Added::default());
     for _ in 0..READS {
-        worst = worst.max(read(&mut world, byte)?);
+        let Added { to_bus, to_host } = read(&mut world, byte)?;
+        worst = Added { to_bus: worst.to_bus.max(to_bus), to_host: worst.to_host.max(to_host) };
     }
     let span = world.now().saturating_duration_since(start) as f64 / SECONDS as f64;
-    Ok((worst as f64, READS as f64 / span))
+    Ok((worst, READS as f64 / span))
 }
 
-/// One read; what lies between the host's last byte and the request on CAN, and between the last frame of the reply and
-/// its first byte to the host.
-fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
+/// One read.
+fn read(world: &mut World<'_>, byte: Nanos) -> Result<Added> {
     let asked = world.host_sends(&[&READ[..], &crc16(&READ).to_le_bytes()].concat());
     let end = world.now().saturating_add(20 * MILLIS);
     let (mut sent, mut heard, mut first, mut bytes) = (None, None, None::<Moment>, 0);
@@ -98,7 +113,10 @@ fn read(world: &mut World<'_>, byte: Nanos) -> Result<Nanos> {
         }
     }
     let (sent, heard, first) = (sent.context("no request")?, heard.context("no frame")?, first.context("?")?);
-    Ok(sent.saturating_duration_since(asked) + first.saturating_duration_since(heard) - byte)
+    Ok(Added {
+        to_bus: sent.saturating_duration_since(asked),
+        to_host: first.saturating_duration_since(heard) - byte,
+    })
 }
 
 /// All slots as often as they can: reads a second, and what the bus could carry of them.

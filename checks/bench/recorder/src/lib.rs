@@ -1,6 +1,7 @@
 //! A plugin for QEMU's own interface (versions 1 and 2): it writes to a Unix socket, whose path is its one argument, a word of
 //! 32 bits for each instruction before it is executed, which is its address, and for each access to a data register of
-//! the serial ports, which is the register's address with bit 0 set, and bit 1 where it was written.
+//! the serial ports or an identifier register of the CAN controller's mailboxes, which is the register's address with bit 0
+//! set, and bit 1 where it was written.
 //!
 //! An instruction that reaches a peripheral may be told of twice in a row: QEMU begins it anew on its own.
 
@@ -10,8 +11,8 @@ use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// `USART_DR` of USART1, USART2 and USART3 (RM0090, table 1).
-const DATA_REGISTERS: [u64; 3] = [0x4001_1004, 0x4000_4404, 0x4000_4804];
+/// `USART_DR` of USART1, USART2 and USART3, `CAN_TIxR` of CAN1 (RM0090, table 1).
+const REGISTERS: [u64; 6] = [0x4001_1004, 0x4000_4404, 0x4000_4804, 0x4000_6580, 0x4000_6590, 0x4000_65A0];
 
 /// `QEMU_PLUGIN_CB_NO_REGS`.
 const NO_REGISTERS: c_int = 0;
@@ -115,7 +116,7 @@ extern "C" fn executed(_: c_uint, address: Opaque) {
 }
 
 extern "C" fn accessed(_: c_uint, info: u32, address: u64, _: Opaque) {
-    if DATA_REGISTERS.contains(&address) {
+    if REGISTERS.contains(&address) {
         // SAFETY: the word is QEMU's.
         let is_store = unsafe { qemu_plugin_mem_is_store(info) };
         tell(address as u32 | 1 | u32::from(is_store) << 1);

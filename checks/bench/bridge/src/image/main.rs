@@ -4,7 +4,9 @@
 //! `profile` behind the arguments it prints the lines of source that take most of them instead.
 
 mod code;
+mod paced;
 mod profile;
+mod saturated;
 mod trace;
 
 use std::env;
@@ -16,9 +18,11 @@ use std::thread;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use jointbus::bench::{Bench, CAN_UNIT, RS485_A_UNIT};
+use jointbus::client::Client;
 use jointbus::emulator::Options;
 
 use crate::code::Code;
+use crate::paced::Paced;
 use crate::trace::{Counts, Trace};
 
 /// Reads of each sensor.
@@ -45,7 +49,14 @@ fn main() -> Result<()> {
         ensure!(replies.len() >= READS / 2, "only {} replies by {bus} found the loop asleep", replies.len());
         show(&format!("reply from {bus} to host"), replies)?;
     }
-    show("idle turn", &counts.idle_turn)
+    ensure!(
+        counts.request.len() >= READS / 2,
+        "only {} requests for CAN found the loop asleep",
+        counts.request.len()
+    );
+    show("request from host to CAN", &counts.request)?;
+    show("idle turn", &counts.idle_turn)?;
+    saturated::show(&counts)
 }
 
 /// Prints the median and the most.
@@ -79,7 +90,8 @@ fn record(image: &PathBuf, plugin: &PathBuf, recorder: &PathBuf) -> Result<Count
     options.arguments = vec!["-plugin".into(), argument];
     {
         let bench = Bench::emulated(&options)?;
-        let mut client = bench.client()?;
+        let patience = bench.patience();
+        let mut client = Client::new(Paced(bench.client()?.stream().try_clone()?), patience);
         for unit in [CAN_UNIT, RS485_A_UNIT] {
             for _ in 0..READS {
                 client.nst(unit).sample().map_err(|error| anyhow!("unit {unit}: {error:?}"))?;

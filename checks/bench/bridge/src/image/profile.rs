@@ -19,6 +19,7 @@ pub(crate) fn show(image: &Path, profiles: &Profiles) -> Result<()> {
     let loader = Loader::new(image).map_err(|error| anyhow!("{}: {error}", image.display()))?;
     let all = [
         ("a received byte", &profiles.received_byte),
+        ("a request", &profiles.request),
         ("a reply", &profiles.reply),
         ("an idle turn", &profiles.idle_turn),
     ];

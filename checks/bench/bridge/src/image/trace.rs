@@ -11,14 +11,23 @@ const TICK: &str = "SysTick";
 /// How the names of the serial ports' interrupts begin.
 const SERIAL: &str = "USART";
 
+/// The interrupt of a received frame.
+pub(crate) const CAN_RECEIVED: &str = "CAN1_RX0";
+
 /// The interrupts that a reply of a device may end with.
-const REPLIES: [&str; 2] = ["CAN1_RX0", "USART2"];
+const REPLIES: [&str; 2] = [CAN_RECEIVED, "USART2"];
 
 /// Instructions of the main loop behind its sleep at most, until it lets interrupts in.
 const WAKING: u64 = 8;
 
 /// `USART_DR` of the host's port, with the marks of the recorder.
 const HOST_DATA_WRITTEN: u32 = 0x4001_1004 | 0b11;
+
+/// The interrupt of the host's port.
+const HOST: &str = "USART1";
+
+/// `CAN_TIxR` of the three mailboxes, with the marks of the recorder.
+const MAILBOX_WRITTEN: [u32; 3] = [0x4000_6580 | 0b11, 0x4000_6590 | 0b11, 0x4000_65A0 | 0b11];
 
 /// An interrupt that is being served.
 struct Activation {
@@ -31,6 +40,25 @@ struct Activation {
     writes: u32,
 }
 
+/// Which way bytes or frames go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Way {
+    In,
+    Out,
+}
+
+/// What the interrupts of one way of a port have taken, and the turns of the main loop that they woke.
+#[derive(Debug, Default)]
+pub(crate) struct Load {
+    pub(crate) interrupts: u64,
+    /// Bytes or frames that they moved.
+    pub(crate) moved: u64,
+    /// Of the interrupts alone.
+    pub(crate) instructions: u64,
+    /// Of each turn.
+    pub(crate) turns: Vec<u64>,
+}
+
 /// Instructions, each list in the order in which it happened.
 #[derive(Debug, Default)]
 pub(crate) struct Counts {
@@ -39,6 +67,13 @@ pub(crate) struct Counts {
     /// From an interrupt of a reply that found the processor asleep, and was the last of it, to the first byte for the
     /// host.
     pub(crate) reply: BTreeMap<String, Vec<u64>>,
+    /// From the interrupt of the host's last byte, which found the processor asleep, to the request's first frame for the
+    /// CAN controller.
+    pub(crate) request: Vec<u64>,
+    /// Of the tick's interrupt.
+    pub(crate) tick: Vec<u64>,
+    /// All of the ports, by interrupt.
+    pub(crate) loads: BTreeMap<(String, Way), Load>,
     /// Of the main loop from sleep to sleep with nothing but a tick between.
     pub(crate) idle_turn: Vec<u64>,
     /// Of the same.
@@ -49,6 +84,7 @@ pub(crate) struct Counts {
 #[derive(Debug, Default)]
 pub(crate) struct Profiles {
     pub(crate) received_byte: Profile,
+    pub(crate) request: Profile,
     pub(crate) reply: Profile,
     pub(crate) idle_turn: Profile,
 }
@@ -93,8 +129,12 @@ pub(crate) struct Trace {
     total: u64,
     /// Of the main loop since it slept; whether another interrupt than the tick came.
     turn: (u64, bool),
+    /// The first of those, once it has been served.
+    woken_by: Option<(String, Way)>,
     /// The interrupt that may be the last of a reply, and the total when it came.
     reply: Option<(String, u64)>,
+    /// The total when an interrupt came that may be the last of a request.
+    request: Option<u64>,
     pub(crate) counts: Counts,
 }
 
@@ -107,7 +147,9 @@ impl Trace {
             activations: Vec::new(),
             total: 0,
             turn: (0, true),
+            woken_by: None,
             reply: None,
+            request: None,
             counts: Counts::default(),
         }
     }
@@ -137,6 +179,12 @@ impl Trace {
 
     /// An access to a data register.
     fn access(&mut self, word: u32) {
+        if MAILBOX_WRITTEN.contains(&word)
+            && let Some(start) = self.request.take()
+        {
+            self.counts.request.push(self.total - start);
+            self.counts.profiles.request.end();
+        }
         if let Some(activation) = self.activations.last_mut() {
             *(if word & 0b10 == 0 { &mut activation.reads } else { &mut activation.writes }) += 1;
         }
@@ -153,7 +201,9 @@ impl Trace {
         if let Some(interrupt) = self.code.handler(address).map(str::to_owned) {
             self.enter(interrupt);
         }
-        let Profiles { received_byte, reply, idle_turn } = &mut self.counts.profiles;
+        let Profiles { received_byte, request, reply, idle_turn } = &mut self.counts.profiles;
+        let tick = self.activations.last().is_some_and(|activation| activation.interrupt == TICK);
+        request.under_way.extend((self.request.is_some() && !tick).then_some(address));
         match self.activations.last_mut() {
             Some(activation) => {
                 activation.instructions += 1;
@@ -172,6 +222,11 @@ impl Trace {
                 reply.under_way.extend(self.reply.is_some().then_some(address));
                 if self.code.is_sleep(address) {
                     let (instructions, disturbed) = std::mem::take(&mut self.turn);
+                    if let Some(woken_by) = self.woken_by.take() {
+                        self.counts.loads.entry(woken_by).or_default().turns.push(instructions);
+                    }
+                    // what has to wait is no matter of instructions
+                    self.request = None;
                     if disturbed {
                         idle_turn.start();
                     } else {
@@ -188,10 +243,15 @@ impl Trace {
         if interrupt.starts_with(SERIAL) {
             self.counts.profiles.received_byte.start();
         }
+        let found_asleep = self.activations.is_empty() && self.turn.0 <= WAKING;
+        let start = self.total - self.turn.0;
         if REPLIES.contains(&interrupt.as_str()) {
             self.counts.profiles.reply.start();
-            let found_asleep = self.activations.is_empty() && self.turn.0 <= WAKING;
-            self.reply = found_asleep.then(|| (interrupt.clone(), self.total - self.turn.0));
+            self.reply = found_asleep.then(|| (interrupt.clone(), start));
+        }
+        if interrupt == HOST {
+            self.counts.profiles.request.start();
+            self.request = found_asleep.then_some(start);
         }
         self.activations.push(Activation { interrupt, calls: 0, instructions: 0, reads: 0, writes: 0 });
     }
@@ -215,12 +275,26 @@ impl Trace {
 
     /// The interrupt has been served.
     fn end(&mut self) {
-        if let Some(done) = self.activations.pop()
-            && done.interrupt.starts_with(SERIAL)
-            && (done.reads, done.writes) == (1, 0)
-        {
+        let Some(done) = self.activations.pop() else { return };
+        let Activation { interrupt, instructions, reads, writes, .. } = done;
+        if interrupt == TICK {
+            return self.counts.tick.push(instructions);
+        }
+        let is_serial = interrupt.starts_with(SERIAL);
+        let (way, moved) = match interrupt.as_str() {
+            _ if is_serial && reads > 0 => (Way::In, reads),
+            _ if is_serial => (Way::Out, writes),
+            CAN_RECEIVED => (Way::In, 1),
+            _ => (Way::Out, 1),
+        };
+        let load = self.counts.loads.entry((interrupt.clone(), way)).or_default();
+        load.interrupts += 1;
+        load.moved += u64::from(moved);
+        load.instructions += instructions;
+        self.woken_by.get_or_insert_with(|| (interrupt.clone(), way));
+        if is_serial && (reads, writes) == (1, 0) {
             self.counts.profiles.received_byte.end();
-            self.counts.received_byte.entry(done.interrupt).or_default().push(done.instructions);
+            self.counts.received_byte.entry(interrupt).or_default().push(instructions);
         }
     }
 }
@@ -268,6 +342,37 @@ mod tests {
         follow(&mut trace, &[SLEEP, enter, TICK_HANDLER, callee, BYTE_READ, back, leave, AWAKE[0]]);
         assert_eq!(trace.counts.received_byte["USART1"], [4, 4]);
         assert!(trace.activations.is_empty());
+    }
+
+    #[test]
+    fn a_port_pays_for_its_interrupts_and_the_turns_that_they_wake() {
+        let mut trace = trace();
+        let [enter, leave] = HOST;
+        let [callee, back] = CALLED;
+        // the tick is nobody's, and what comes during a turn wakes none
+        follow(
+            &mut trace,
+            &[TICK_HANDLER, enter, callee, BYTE_READ, back, leave, AWAKE[0], CAN, AWAKE[1], SLEEP],
+        );
+        let Load { interrupts, moved, instructions, turns } =
+            &trace.counts.loads[&("USART1".to_owned(), Way::In)];
+        assert_eq!((*interrupts, *moved, *instructions, &turns[..]), (1, 1, 4, &[3][..]));
+        let Load { interrupts, moved, instructions, turns } =
+            &trace.counts.loads[&("CAN1_RX0".to_owned(), Way::In)];
+        assert_eq!((*interrupts, *moved, *instructions, turns.len()), (1, 1, 1, 0));
+        assert_eq!(trace.counts.tick, [1]);
+    }
+
+    #[test]
+    fn a_request_counts_from_its_last_byte_to_its_first_frame() {
+        let mut trace = trace();
+        let [enter, leave] = HOST;
+        follow(&mut trace, &[enter, BYTE_READ, leave, AWAKE[0], AWAKE[1], SLEEP]);
+        follow(
+            &mut trace,
+            &[enter, BYTE_READ, leave, AWAKE[0], AWAKE[1], MAILBOX_WRITTEN[0], MAILBOX_WRITTEN[0]],
+        );
+        assert_eq!(trace.counts.request, [4]);
     }
 
     #[test]
