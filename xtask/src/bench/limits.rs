@@ -23,6 +23,9 @@ enum Bound {
     Over(&'static str, f64),
     /// The figure of this, for each of 64 KiB, is at most so many times that for each of 1 KiB.
     Grows(f64),
+    /// One more of these costs, from the second number of them to the third, at most so much more than from the first to
+    /// the second.
+    Linear([u8; 3], f64),
 }
 
 const SIZE: &str = "m4 size";
@@ -69,7 +72,27 @@ static LIMITS: &[Limit] = &[
     grows("decode reply, beginnings of replies"),
     over(SIZE),
     over(SPEED),
+    linear(MORE[0]),
+    linear(MORE[1]),
+    linear(MORE[2]),
+    linear(MORE[3]),
 ];
+
+/// What there may be more or less of, and three numbers of it that are measured.
+pub(crate) const MORE: [(&str, [u8; 3]); 4] = [
+    ("one more route", [1, 8, 16]),
+    ("one more slot", [1, 4, 8]),
+    ("one more unit", [1, 2, 4]),
+    ("one more port", [1, 3, 5]),
+];
+
+/// Instructions that one more takes, from one number to the next.
+pub(crate) fn steps(figures: &Figures, subject: &str, numbers: [u8; 3]) -> Result<[f64; 2]> {
+    let [few, some, all] = numbers.map(|number| figures.get(host::PLACE, subject, &number.to_string()));
+    let [first, second, third] = numbers.map(f64::from);
+    let (few, some, all) = (few?, some?, all?);
+    Ok([(some - few) / (second - first), (all - some) / (third - second)])
+}
 
 const fn at_most(place: &'static str, subject: &'static str, what: &'static str, most: f64) -> Limit {
     Limit { place, subject, what, bound: Bound::AtMost(most) }
@@ -81,6 +104,11 @@ const fn of_bridge(place: &'static str, what: &'static str, bound: Bound) -> Lim
 
 const fn grows(subject: &'static str) -> Limit {
     Limit { place: host::PLACE, subject, what: "bytes of 64 KiB to bytes of 1 KiB", bound: Bound::Grows(1.1) }
+}
+
+const fn linear((subject, numbers): (&'static str, [u8; 3])) -> Limit {
+    let bound = Bound::Linear(numbers, 10.0);
+    Limit { place: host::PLACE, subject, what: "instructions of the last over those of the first", bound }
 }
 
 const fn over(place: &'static str) -> Limit {
@@ -99,7 +127,9 @@ impl Verdict {
     pub(crate) fn holds(&self) -> bool {
         match self.limit.bound {
             Bound::AtLeast(least) => self.figure >= least,
-            Bound::AtMost(most) | Bound::Over(_, most) | Bound::Grows(most) => self.figure <= most,
+            Bound::AtMost(most) | Bound::Over(_, most) | Bound::Grows(most) | Bound::Linear(_, most) => {
+                self.figure <= most
+            }
         }
     }
 
@@ -109,7 +139,7 @@ impl Verdict {
             Bound::AtMost(most) => ((*what).to_owned(), format!("at most {most}")),
             Bound::AtLeast(least) => ((*what).to_owned(), format!("at least {least}")),
             Bound::Over(other, most) => (format!("{what}, over {other}"), format!("at most {most}")),
-            Bound::Grows(most) => ((*what).to_owned(), format!("at most {most}")),
+            Bound::Grows(most) | Bound::Linear(_, most) => ((*what).to_owned(), format!("at most {most}")),
         };
         let figure = (self.figure * 1000.0).round() / 1000.0;
         let verdict = if self.holds() { "holds" } else { "**not held**" };
@@ -132,6 +162,10 @@ pub(crate) fn verdicts(figures: &Figures) -> Result<Vec<Verdict>> {
             Bound::AtMost(_) | Bound::AtLeast(_) => get(limit.subject, limit.what)?,
             Bound::Over(other, _) => get(limit.subject, limit.what)? - get(other, limit.what)?,
             Bound::Grows(_) => get(limit.subject, "65536")? / 64.0 / get(limit.subject, "1024")?,
+            Bound::Linear(numbers, _) => {
+                let [first, last] = steps(figures, limit.subject, numbers)?;
+                last - first
+            }
         };
         Ok(Verdict { limit, figure })
     };
@@ -175,8 +209,17 @@ mod tests {
             figures.set(place, subject, "1024", 1000.0);
             figures.set(place, subject, "65536", 64_000.0);
         }
+        for (subject, numbers) in MORE {
+            numbers.iter().for_each(|number| {
+                figures.set(host::PLACE, subject, &number.to_string(), f64::from(*number) * 7.0);
+            });
+        }
         let all = verdicts(&figures).unwrap();
         let growth = all.iter().find(|one| matches!(one.limit.bound, Bound::Grows(_))).unwrap();
         assert_eq!(growth.figure, 1.0);
+        let linear = all.iter().filter(|one| matches!(one.limit.bound, Bound::Linear(..)));
+        assert!(linear.clone().all(|one| one.figure == 0.0 && one.holds()));
+        assert_eq!(linear.count(), MORE.len());
+        assert_eq!(steps(&figures, MORE[0].0, MORE[0].1).unwrap(), [7.0, 7.0]);
     }
 }

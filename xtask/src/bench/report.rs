@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 
 use super::figures::Figures;
 use super::plot::{self, Series};
-use super::{bridge, host};
+use super::{bridge, host, limits};
 
 /// The four requests of the servers.
 const REQUESTS: [&str; 4] = ["03 x 10 registers", "10 x 10 registers", "01 x 16 coils", "wrong CRC"];
@@ -112,6 +112,8 @@ pub(crate) fn tables(figures: &Figures) -> Result<String> {
         let figure = figures.get(place, bridge::SUBJECT, what)?;
         text.push_str(&format!("| {name} | {} |\n", (figure * 10.0).round() / 10.0));
     }
+    text.push_str("\n### One more of what the bridge has, instructions on the host\n\n");
+    text.push_str(&more(figures)?);
     text.push_str("\n### Garbage on the host, instructions a byte\n\n| | 1 KiB | 64 KiB |\n|---|---|---|\n");
     for side in ["request", "reply"] {
         for kind in ["random bytes", "beginnings of replies"] {
@@ -180,6 +182,22 @@ fn parts(figures: &Figures) -> Result<String> {
             }
         }
         text.push('\n');
+    }
+    Ok(text)
+}
+
+fn more(figures: &Figures) -> Result<String> {
+    let mut text = String::from(
+        "| | numbers | instructions | the first ones, each | the last ones, each |\n|---|---|---|---|---|\n",
+    );
+    for (subject, numbers) in limits::MORE {
+        let all = numbers.map(|number| figures.get(host::PLACE, subject, &number.to_string()));
+        let all = all.into_iter().collect::<Result<Vec<_>>>()?;
+        let [first, last] = limits::steps(figures, subject, numbers)?;
+        let list = |values: Vec<String>| values.join(", ");
+        let (numbers, all) = (numbers.map(|one| one.to_string()), all.iter().map(f64::to_string));
+        let (numbers, all) = (list(numbers.to_vec()), list(all.collect()));
+        text.push_str(&format!("| {subject} | {numbers} | {all} | {first:.1} | {last:.1} |\n"));
     }
     Ok(text)
 }

@@ -6,6 +6,7 @@
 #[cfg(feature = "others")]
 mod libmodbus;
 mod linear;
+mod scale;
 
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -86,6 +87,7 @@ fn main() -> ExitCode {
         ask::<server::WithoutTable>("server_bitwise"),
     ];
     linear::all();
+    scale::all();
     if ours.into_iter().chain(others()).all(|right| right) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
