@@ -6,7 +6,6 @@
 mod common;
 
 mod can;
-mod memory;
 mod pins;
 mod ports;
 mod replies;
