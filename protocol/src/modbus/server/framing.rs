@@ -51,7 +51,7 @@ pub fn rtu<'b>(
     frame: &[u8],
     out: &'b mut [u8],
 ) -> Result<&'b [u8], NoResponse> {
-    rtu_with(checksum::crc16, server, unit, frame, out)
+    rtu_with(checksum::crc16_rolled, server, unit, frame, out)
 }
 
 /// [`rtu`] with another way to compute the CRC: [`checksum::crc16_sliced`] on a host, [`checksum::crc16_small`] or
