@@ -6,6 +6,7 @@
 mod common;
 
 mod can;
+mod memory;
 mod pins;
 mod ports;
 mod replies;
