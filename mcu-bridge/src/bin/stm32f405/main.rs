@@ -13,6 +13,7 @@ mod constants;
 mod flash;
 mod fpu;
 mod inputs;
+mod memory;
 mod outputs;
 mod pins;
 mod reset;
