@@ -7,7 +7,9 @@ use std::env;
 
 use anyhow::{Context, Result, ensure};
 use jointbus_host_tests::sim::can_bits::{INTERMISSION, length};
-use jointbus_host_tests::sim::{Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, SimBoard, World};
+use jointbus_host_tests::sim::{
+    Delay, MICROS, MILLIS, Moment, Nanos, Notice, SECONDS, Settings, SimBoard, World,
+};
 use jointbus_mcu_bridge::board::Port;
 use jointbus_mcu_bridge::boards::stm32f405::CAN;
 use jointbus_protocol::can::Frame;
