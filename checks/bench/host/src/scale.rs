@@ -3,8 +3,8 @@
 use std::hint::black_box;
 
 use jointbus_mcu_bridge::board::{
-    Board, Description, Limits, LocalUnits, Outputs, Port, PortConfig, PortDescription, PortKind, Protocol,
-    ROUTES, Route, Target, Topology, UartClock,
+    Board, Description, Identification, Limits, LocalUnits, Outputs, Port, PortConfig, PortDescription,
+    PortKind, Protocol, ROUTES, Route, Target, Topology, UartClock,
 };
 use jointbus_mcu_bridge::engine::{AnyEngine, Engine, Identity, ResetCause, Settings};
 use jointbus_mcu_bridge::registers::SLOTS;
@@ -111,6 +111,7 @@ impl<const BUSES: usize> Board for Ports<BUSES> {
     const DESCRIPTION: &'static Description = &Description {
         number: 0x8000,
         name: "ports",
+        identification: Identification::JOINTBUS,
         ports: PORTS.split_at(BUSES + 1).0,
         local: <() as LocalUnits>::KINDS,
         routes: &[
@@ -132,6 +133,7 @@ macro_rules! units {
             const DESCRIPTION: &'static Description = &Description {
                 number: 0x8001,
                 name: "units",
+                identification: Identification::JOINTBUS,
                 ports: PORTS.split_at(2).0,
                 local: <$units as LocalUnits>::KINDS,
                 routes: UNITS.split_at(4 - $count).1,
