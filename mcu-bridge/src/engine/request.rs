@@ -102,7 +102,7 @@ pub(super) struct Request {
     /// Time that the bus waits for the answer, without the time on the wire.
     pub(super) timeout: Duration,
     /// Time that the device has for it: more, where a probe is not to hold up the bus.
-    pub(super) alllate: Duration,
+    pub(super) allowed: Duration,
     /// How long a late response is waited for after a timeout.
     pub(super) late_response_window: Duration,
     /// How often it may be sent again.
@@ -129,7 +129,7 @@ impl Request {
             expected,
             function,
             timeout: route.timeout(is_read),
-            alllate: route.timeout(is_read),
+            allowed: route.timeout(is_read),
             late_response_window: route.late_response_window(is_read),
             retries: if is_read { route.read_retries } else { 0 },
             is_split: route.protocol == Protocol::NstOverCan,
@@ -149,7 +149,7 @@ impl Request {
 
     /// Time in which the answer counts, where the bus waits for less of it.
     pub(super) fn probe_window(&self) -> Option<Duration> {
-        (self.timeout < self.alllate).then_some(self.alllate)
+        (self.timeout < self.allowed).then_some(self.allowed)
     }
 
     pub(super) fn is_read(&self) -> bool {

@@ -367,12 +367,14 @@ mod tests {
     fn a_request_counts_from_its_last_byte_to_its_first_frame() {
         let mut trace = trace();
         let [enter, leave] = HOST;
-        follow(&mut trace, &[enter, BYTE_READ, leave, AWAKE[0], AWAKE[1], SLEEP]);
-        follow(
-            &mut trace,
-            &[enter, BYTE_READ, leave, AWAKE[0], AWAKE[1], MAILBOX_WRITTEN[0], MAILBOX_WRITTEN[0]],
-        );
-        assert_eq!(trace.counts.request, [4]);
+        let [callee, back] = CALLED;
+        let byte = [enter, callee, BYTE_READ, back, leave, AWAKE[0], AWAKE[1]];
+        // nothing is counted of a byte that leads to no frame before the processor sleeps again
+        follow(&mut trace, &byte);
+        follow(&mut trace, &[SLEEP, MAILBOX_WRITTEN[0]]);
+        follow(&mut trace, &byte);
+        follow(&mut trace, &[MAILBOX_WRITTEN[0], MAILBOX_WRITTEN[1]]);
+        assert_eq!(trace.counts.request, [6]);
     }
 
     #[test]
