@@ -58,7 +58,7 @@ impl Shared {
         let (live, next) = (&mut self.live, &self.settings.topology);
         let mut moved = [false; PORTS_MAX];
         for (old, new) in live.routes.iter().zip(&next.routes).filter(|(old, new)| old != new) {
-            for row in [old, new] {
+            for row in [old, new].into_iter().filter(|row| row.is_used()) {
                 self.quarantine.forget(row);
                 if let Some(moved) = row.target.port().and_then(|port| moved.get_mut(port.index())) {
                     *moved = true;

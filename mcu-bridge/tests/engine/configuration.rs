@@ -82,6 +82,21 @@ fn applying_again_starts_the_ten_seconds_again_and_leads_back_to_what_was_confir
 }
 
 #[test]
+fn a_row_that_is_not_used_touches_no_bus() {
+    let mut world = World::new();
+    world.held_back = Some(Vec::new());
+    world.engine.receive(Port::HOST, &modbus(16, &READ), world.now);
+    world.pass(Duration::from_millis(20));
+    // its target is the bus on which the read is in flight
+    let target = [6, 1, 0xA2, 0, 1];
+    assert_eq!(world.modbus(247, &target, Duration::ZERO), target);
+    assert_eq!(world.exchange(&modbus(247, &APPLY), Duration::ZERO), modbus(247, &APPLY));
+    let (port, reply) = world.held_back.take().unwrap().remove(0);
+    world.engine.receive(port, &reply, world.now);
+    assert_eq!(world.exchange(&[], SOON), modbus(16, &axes(2)));
+}
+
+#[test]
 fn what_waits_on_a_route_that_changes_is_told_and_the_other_buses_go_on() {
     let mut world = World::new();
     world.held_back = Some(Vec::new());
