@@ -5,6 +5,8 @@ use jointbus_mcu_bridge::registers::{self, command};
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
+pub use jointbus_mcu_bridge::engine::Counters;
+
 /// Unit address of the bridge itself.
 pub const UNIT: u8 = 247;
 
@@ -72,35 +74,6 @@ pub fn wait<S: Read + Write>(client: &mut Client<S>, patience: Duration) -> Resu
     }
 }
 
-/// Counters of a port, in the order of the register map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counters {
-    /// Valid frames received.
-    pub received: u32,
-    /// Frames sent.
-    pub sent: u32,
-    /// Frames with a wrong checksum.
-    pub checksum_errors: u32,
-    /// Bursts without a frame.
-    pub dropped_bursts: u32,
-    /// Attempts without an answer.
-    pub timeouts: u32,
-    /// Reads sent again.
-    pub retries: u32,
-    /// Replies that nobody waited for.
-    pub foreign: u32,
-    /// Bytes or frames lost in the port.
-    pub overruns: u32,
-    /// Requests that outlived their time.
-    pub expired: u32,
-    /// Requests that were refused.
-    pub refused: u32,
-    /// Times that CAN was bus-off.
-    pub bus_off: u32,
-    /// Transmit errors or collisions.
-    pub transmit_errors: u32,
-}
-
 /// Reads the counters of a port.
 ///
 /// # Errors
@@ -117,7 +90,7 @@ pub fn counters<S: Read + Write>(client: &mut Client<S>, port: u16) -> Result<Co
         dropped_bursts: next()?,
         timeouts: next()?,
         retries: next()?,
-        foreign: next()?,
+        foreign_or_late: next()?,
         overruns: next()?,
         expired: next()?,
         refused: next()?,

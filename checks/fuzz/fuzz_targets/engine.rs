@@ -49,7 +49,7 @@ fuzz_target!(|data: &[u8]| {
     assert!(answers, "the bridge is lost to its host");
 });
 
-/// What a firmware remembers between two turns of its main loop.
+/// A firmware's memory between two turns of its main loop.
 struct Board {
     engine: Engine,
     /// The CAN port is to give up its frames.

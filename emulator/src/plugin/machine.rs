@@ -1,4 +1,4 @@
-//! What QEMU has given the plugin, and how it is told what has changed.
+//! The machine that QEMU has given the plugin, and how it is told of changes.
 
 use super::peripherals::{self, Serial};
 use super::port::Port;
@@ -17,7 +17,7 @@ const SHORTEST_NS: u64 = 1000;
 pub(super) static QEMU: OnceLock<Qemu> = OnceLock::new();
 pub(super) static MACHINE: OnceLock<Machine> = OnceLock::new();
 
-/// What QEMU has given us.
+/// The machine that QEMU has given us.
 pub(super) struct Machine {
     pub(super) processor: Pointer,
     pub(super) interrupts: [Pointer; 4],

@@ -1,4 +1,4 @@
-//! What changes while the machine runs, and what QEMU has to be told of it.
+//! The state that changes while the machine runs, and the news of it for QEMU.
 
 use super::complain;
 use super::peripherals::{SerialEffects, SerialState};
@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard};
 
 static STATE: Mutex<Option<State>> = Mutex::new(None);
 
-/// What changes while the machine runs.
+/// The state that changes while the machine runs.
 pub(super) struct State {
     pub(super) board: Board,
     /// Levels last driven, in the order of [`super::machine::CAN1_INTERRUPTS`].

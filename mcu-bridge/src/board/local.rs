@@ -77,7 +77,7 @@ macro_rules! local_units {
                 $(self.$index.power_up();)*
             }
 
-            #[allow(unused_variables)] // where there are no units
+            #[allow(unused_variables, reason = "a board may have no units of its own")]
             fn dispatch<'o>(&mut self, index: u8, request: &Request<'_>, out: &'o mut [u8]) -> Option<&'o [u8]> {
                 match index {
                     $($index => self.$index.dispatch(request, out),)*

@@ -39,13 +39,17 @@ pub type Engine = engine::Engine<Stm32f405, { BOARD.serial_buses() }, { BOARD.ca
 /// Memory for its engine.
 pub type Storage = engine::Storage<Stm32f405, { BOARD.serial_buses() }, { BOARD.can_buses() }>;
 
-/// The clock of USART2 and USART3 in Hz where the crystal works; that of USART1 is twice as fast. The divisor has 16
-/// bits, and its smallest value is 16 (RM0090, 30.6.3).
+/// The clock of USART2 and USART3 in Hz where the crystal works; that of USART1 is twice as fast.
 pub const PCLK1_HZ: u32 = 42_000_000;
 
+/// A USART that runs on `hz`: its divisor has 16 bits, and the smallest value is 16 (RM0090, 30.6.3).
+#[must_use]
+pub const fn uart_clock(hz: u32) -> UartClock {
+    UartClock { hz, divisor_min: 16, divisor_max: 0xFFFF }
+}
+
 const fn serial(name: &'static str, hz: u32, default: PortConfig) -> PortDescription {
-    let clock = UartClock { hz, divisor_min: 16, divisor_max: 0xFFFF };
-    PortDescription { name, kind: PortKind::Serial { clock }, default }
+    PortDescription { name, kind: PortKind::Serial { clock: uart_clock(hz) }, default }
 }
 
 impl Board for Stm32f405 {

@@ -1,7 +1,7 @@
 //! The bridge's face.
 
 use super::actions::Action;
-use super::core::{AT_ONCE, Change, Core};
+use super::core::{AT_ONCE, Core};
 use super::counters::{Counters, count};
 use super::host::{HostDecoder, HostFraming};
 use super::identity::{Health, Identity};
@@ -85,7 +85,7 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         shared.confirmed = settings.topology;
         let former = core::mem::replace(&mut shared.settings, *settings).slots;
         shared.start_slots(&former, now);
-        self.core.change(Change::RollBack, now);
+        self.core.apply(now);
         // the ports are about to be started with them
         self.core.shared.actions.clear_configure();
     }
@@ -113,7 +113,7 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         while let Some(event) = host.feed(&HostFraming(core.shared.routes()), &mut bytes, now) {
             core.shared.idle_until = AT_ONCE;
             core.take(&event, now);
-            core.make_change(now);
+            core.apply_asked(now);
         }
         // a part of a frame is nothing to do before silence ends it
         if let Some(end) = host.deadline() {
@@ -127,7 +127,7 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
         host.set_silence(core.shared.settings.limits.burst_silence());
         if let Some(event) = host.poll(&HostFraming(core.shared.routes()), now) {
             core.take(&event, now);
-            core.make_change(now);
+            core.apply_asked(now);
         }
     }
 
@@ -228,8 +228,8 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Engine<B, SERIAL, CAN> {
             _ => return,
         }
         self.core.shared.idle_until = AT_ONCE;
-        if let Some((bus, mut cx)) = self.core.can(port) {
-            bus.set_off(bus_off, now, &mut cx);
+        if bus_off && let Some((bus, mut cx)) = self.core.can(port) {
+            bus.went_off(now, &mut cx);
         }
     }
 

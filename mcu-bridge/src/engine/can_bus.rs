@@ -37,7 +37,6 @@ struct BackOff {
     next: Duration,
     /// When the controller is to be restarted.
     restart: Option<Instant>,
-    is_off: bool,
 }
 
 /// Frames of a transfer under way to the controller, or its reply.
@@ -107,7 +106,7 @@ impl CanBus {
             outstanding: 0,
             early: Deque::new(),
             legacy_codes: 0,
-            back_off: BackOff { next: Duration::ZERO, restart: None, is_off: false },
+            back_off: BackOff { next: Duration::ZERO, restart: None },
         }
     }
 
@@ -117,14 +116,11 @@ impl CanBus {
         self.back_off.next = SHORTEST;
     }
 
-    /// Whether the controller is off the bus now.
-    pub(super) fn set_off(&mut self, is_off: bool, now: Instant, cx: &mut Context<'_>) {
-        if is_off && !self.back_off.is_off {
-            count(&mut cx.counters.bus_off);
-            self.back_off.restart = Some(now.saturating_add(self.back_off.next));
-            self.back_off.next = self.back_off.next.saturating_mul(2).min(LONGEST);
-        }
-        self.back_off.is_off = is_off;
+    /// The controller went off the bus.
+    pub(super) fn went_off(&mut self, now: Instant, cx: &mut Context<'_>) {
+        count(&mut cx.counters.bus_off);
+        self.back_off.restart = Some(now.saturating_add(self.back_off.next));
+        self.back_off.next = self.back_off.next.saturating_mul(2).min(LONGEST);
     }
 
     pub(super) const fn legacy_codes(&self) -> u32 {

@@ -1,22 +1,25 @@
 //! Ports and routes that change, and what their buses do then.
 
 use super::actions::Action;
-use super::core::{Change, Core, Shared};
+use super::core::{Core, Shared};
 use crate::board::{Board, Description, LocalUnits, PORTS_MAX};
 use jointbus_protocol::time::{Duration, Instant};
 
 impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
-    /// Makes the change that a request has asked for. Here and not where it was asked for, so that it is answered first.
-    pub(super) fn make_change(&mut self, now: Instant) {
-        let change = core::mem::replace(&mut self.shared.change, Change::None);
-        self.change(change, now);
+    /// Applies what is staged, where a request has asked for it. Here and not where it was asked for, so that it is
+    /// answered first.
+    pub(super) fn apply_asked(&mut self, now: Instant) {
+        if core::mem::take(&mut self.shared.apply) {
+            self.apply(now);
+        }
     }
 
     /// Returns to the confirmed configuration where the applied one was not confirmed in time.
     pub(super) fn roll_back(&mut self, now: Instant) {
         if self.shared.confirm_until.is_some_and(|end| now >= end) {
             self.shared.confirm_until = None;
-            self.change(Change::RollBack, now);
+            self.shared.settings.topology = self.shared.confirmed;
+            self.apply(now);
         }
     }
 
@@ -34,13 +37,8 @@ impl<B: Board, const SERIAL: usize, const CAN: usize> Core<B, SERIAL, CAN> {
         }
     }
 
-    /// Changes ports and routes, dropping what waits or is in flight where something changed.
-    pub(super) fn change(&mut self, change: Change, now: Instant) {
-        match change {
-            Change::None => return,
-            Change::Apply => {}
-            Change::RollBack => self.shared.settings.topology = self.shared.confirmed,
-        }
+    /// Makes the staged ports and routes live, dropping what waits or is in flight where something changed.
+    pub(super) fn apply(&mut self, now: Instant) {
         let moved = self.shared.go_live(B::DESCRIPTION);
         for port in B::DESCRIPTION.ports().filter(|port| moved.get(port.index()) == Some(&true)) {
             if let Some((bus, mut cx)) = self.serial(port) {

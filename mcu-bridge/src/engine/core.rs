@@ -17,17 +17,6 @@ use jointbus_protocol::time::{Duration, Instant};
 /// The time of what is due already.
 pub(super) const AT_ONCE: Instant = Instant::from_micros(0);
 
-/// What becomes of ports and routes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Change {
-    /// Nothing is to be changed.
-    None,
-    /// The staged ones go live.
-    Apply,
-    /// The confirmed ones go live, and are staged.
-    RollBack,
-}
-
 /// A save that the host waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Saving {
@@ -73,8 +62,8 @@ pub(super) struct Shared {
     pub(super) confirm_until: Option<Instant>,
     pub(super) saving: Saving,
     pub(super) actions: Pending,
-    /// To be made once its request has been answered.
-    pub(super) change: Change,
+    /// The staged topology is to go live, once the request for that has been answered.
+    pub(super) apply: bool,
     pub(super) output: Output,
     pub(super) counters: [Counters; PORTS_MAX],
     pub(super) bus_off: [bool; PORTS_MAX],
@@ -130,7 +119,7 @@ impl Shared {
         confirm_until: None,
         saving: Saving::No,
         actions: Pending::NONE,
-        change: Change::None,
+        apply: false,
         output: Output::new(),
         counters: [Counters::ZERO; PORTS_MAX],
         bus_off: [false; PORTS_MAX],

@@ -98,15 +98,7 @@ impl Output {
     /// Queues a reply of a data unit or body.
     pub(super) fn relay(&mut self, counters: &mut Counters, unit: u8, content: &[u8]) {
         if OUTPUT.saturating_sub(self.buffer.len()) <= FRAME_MAX && self.start > 0 {
-            // bytes move to the front, one by one: `copy_within` would bring its panic and `memmove` into the image
-            let left = self.pending().len();
-            for to in 0..left {
-                let byte = self.buffer.get(to.saturating_add(self.start)).copied();
-                if let (Some(byte), Some(place)) = (byte, self.buffer.get_mut(to)) {
-                    *place = byte;
-                }
-            }
-            self.buffer.truncate(left);
+            self.buffer.drain(..self.start);
             self.start = 0;
         }
         let frame = self.buffer.len();

@@ -1,7 +1,7 @@
 //! Unit 247: the bridge's own registers, dispatched by their table.
 
 use super::actions::Action;
-use super::core::{Change, Diagnostics, Saving, Shared};
+use super::core::{Diagnostics, Saving, Shared};
 use super::counters::Counters;
 use super::identity::Health;
 use super::polling::Slot;
@@ -189,7 +189,7 @@ impl Management<'_> {
                     return Err(ExceptionCode::IllegalDataValue);
                 }
                 shared.confirm_until = Some(now.saturating_add(CONFIRM_WITHIN));
-                shared.change = Change::Apply;
+                shared.apply = true;
             }
             command::CONFIRM => {
                 shared.confirm_until = None;

@@ -1,4 +1,4 @@
-//! What one more route, slot, unit and port costs: the same over few, some and all of them.
+//! The cost of one more route, slot, unit and port: the same work over few, some and all of them.
 
 use std::hint::black_box;
 
@@ -77,7 +77,7 @@ fn with_routes(count: usize) -> Settings {
     Settings { topology, ..Settings::of(Ports::<1>::DESCRIPTION) }
 }
 
-/// So many slots read as often as they can.
+/// Slots that read as often as they can.
 fn with_slots(count: usize) -> Settings {
     let mut settings = Settings::of(Ports::<1>::DESCRIPTION);
     for (slot, unit) in settings.slots.iter_mut().zip(1..).take(count) {

@@ -86,7 +86,7 @@ fn picture(now: Duration, readings: &Readings) -> Vec<String> {
             readings.counters[usize::from(bridge::port::HOST)].received,
             sum(|counters| counters.timeouts),
             sum(|counters| counters.retries),
-            sum(|counters| counters.foreign),
+            sum(|counters| counters.foreign_or_late),
         ));
     }
     lines

@@ -4,6 +4,7 @@ use crate::pins::OutputPin;
 use crate::time;
 use core::ops::Deref;
 use jointbus_mcu_bridge::board::{Parity, PortConfig};
+use jointbus_mcu_bridge::boards::stm32f405::uart_clock;
 use jointbus_mcu_bridge::io::serial::{IsrHalf, TransmitterSide};
 use stm32f4xx_hal::pac::usart1::RegisterBlock;
 
@@ -47,13 +48,12 @@ mod sr {
 
 /// Sets baud rate and format of a USART that runs on `bus_hz` (RM0090, 30.6); its interrupt must not come meanwhile.
 pub fn configure(usart: Registers, bus_hz: u32, config: &PortConfig) {
-    let baud = config.baud().max(1);
-    let divider = ((bus_hz + baud / 2) / baud).clamp(16, 0xFFFF);
+    let divisor = uart_clock(bus_hz).divisor(config.baud());
     let parity = config.parity != Parity::None;
     let stop = if config.stop_bits == 2 { 0b10 } else { 0b00 };
     usart.cr1().modify(|_, w| w.ue().clear_bit());
     // SAFETY: values in the range of their fields
-    usart.brr().write(|w| unsafe { w.bits(divider as u16) });
+    usart.brr().write(|w| unsafe { w.bits(divisor as u16) });
     // SAFETY: as above
     usart.cr2().write(|w| unsafe { w.stop().bits(stop) });
     usart.cr1().write(|w| {

@@ -1,4 +1,4 @@
-//! What the processor has to do in a second in which no port rests.
+//! The work of the processor in a second in which no port rests.
 //!
 //! Reads fill each bus, by the host, one behind the other and answered at once. Bytes of longer frames fill the rest of the
 //! host's line, both ways. Each byte and each frame is counted as if it came alone, but for the part of a turn of the main

@@ -47,7 +47,7 @@ pub(crate) enum Way {
     Out,
 }
 
-/// What the interrupts of one way of a port have taken, and the turns of the main loop that they woke.
+/// Instructions of the interrupts of one way of a port, and of the turns of the main loop that they woke.
 #[derive(Debug, Default)]
 pub(crate) struct Load {
     pub(crate) interrupts: u64,
